@@ -1308,8 +1308,6 @@ static double joint_step(matrix W, int j, int og)
         W[j][COLUMN + 5] * W[og + 5][MULTIPLIER];
 }
 
-/* ---- correct/limits -------------------------------------------------------------------------------------- */
-
 /* Factor J J' with what damps the orientation: nothing unless the posture makes a rotation of the tool weak. d² = ¼ (h₀
  * - h)² / h₀ below the leverage h₀ is smooth in the posture, and no rotation asks the joints for more than 1.3 /
  * sqrt(h₀) times its size. Fewer than six joints cannot rotate the tool at will: then h is 0. */
@@ -2019,28 +2017,6 @@ static double bound_change(rows P, matrix W, int S, matrix state, double *info, 
     return most;
 }
 
-/* ---- correct/doubts -------------------------------------------------------------------------------------- */
-
-/* Return the flag UNSURE where the wanted joints are in a box of doubt, else 0. */
-static int flag_doubts(rows P, matrix W, int S, int n, int m)
-{
-    int first = (int)P.at[S][DOUBT_AT];
-    double bounded = smaller(n, HIGHEST_OF_BOX - LOWEST_OF_BOX);
-    for (int row = first; row < first + (int)P.at[S][DOUBTS]; row++) {
-        int inside = 1;
-        for (int i = 0; i < bounded; i++) {
-            double wanted = W[m + 1 + i][WANTED];
-            if (!(P.at[row][LOWEST_OF_BOX + i] <= wanted && wanted <= P.at[row][HIGHEST_OF_BOX + i])) {
-                inside = 0;
-            }
-        }
-        if (inside != 0) {
-            return UNSURE;
-        }
-    }
-    return 0;
-}
-
 /* ---- correct/stream -------------------------------------------------------------------------------------- */
 
 #define NONSENSE 1000.0
@@ -2164,6 +2140,26 @@ static tuple2 ramp(rows P, matrix W, matrix state, int n, int m, double dt)
         W[j][TOTAL] = W[j][COMMAND] - W[j][WANTED] + share * W[j][RAMPED];
     }
     return (tuple2){{remaining, length}};
+}
+
+/* Return the flag UNSURE where the wanted joints are in a box of doubt, else 0. */
+static int flag_doubts(rows P, matrix W, int S, int n, int m)
+{
+    int first = (int)P.at[S][DOUBT_AT];
+    double bounded = smaller(n, HIGHEST_OF_BOX - LOWEST_OF_BOX);
+    for (int row = first; row < first + (int)P.at[S][DOUBTS]; row++) {
+        int inside = 1;
+        for (int i = 0; i < bounded; i++) {
+            double wanted = W[m + 1 + i][WANTED];
+            if (!(P.at[row][LOWEST_OF_BOX + i] <= wanted && wanted <= P.at[row][HIGHEST_OF_BOX + i])) {
+                inside = 0;
+            }
+        }
+        if (inside != 0) {
+            return UNSURE;
+        }
+    }
+    return 0;
 }
 
 /* Corrected joints into out within the limits of correction and joints,

@@ -58,6 +58,15 @@ class CancelledError(CoreError):
     default_code = "cancelled"
 
 
+class FindingDocument(dict[str, Any]):
+    """A finding as it is stored and sent: its code, its context by name, and its sentence as ``message``."""
+
+    @staticmethod
+    def make(code: str, message: str, **context: Any) -> FindingDocument:
+        """Return the document of a finding; the class itself is called as ``dict`` is, by ``asdict`` and copies."""
+        return FindingDocument(code=code, **context, message=message)
+
+
 @dataclass(frozen=True)
 class Finding:
     """A warning, objection or remark: a stable code and what it says, by name. Decisions are made from these.
@@ -74,6 +83,6 @@ class Finding:
         """Return its sentence."""
         return sentences[self.code]({**self.context, **self.only_said})
 
-    def to_document(self, sentences: Sentences) -> dict[str, Any]:
+    def to_document(self, sentences: Sentences) -> FindingDocument:
         """Return it as it is stored and sent, with its sentence."""
-        return {"code": self.code, **self.context, "message": self.message(sentences)}
+        return FindingDocument.make(self.code, self.message(sentences), **self.context)

@@ -26,6 +26,8 @@ FORBIDDEN_NAMES = {"utils", "util", "helpers", "helper", "manager", "managers", 
 MODULE_CAP, FUNCTION_CAP = 500, 55
 PAGES = {"core/kilter_core/identify/run.py": 15}  # most imports of a module that reads like its method
 HOUSES = ("core/kilter_core", "service/kilter_service", "clients/files/kilter_files")
+BUNDLED = "service/kilter_service/page/static/"
+TRANSLATED = {"clients/c/kilter_corrector.c", "clients/c/kilter_corrector.h", "clients/c/kilter_torque.c"}
 WRITTEN = {".py", ".pyi", ".js", ".css", ".html", ".c", ".h", ".hpp", ".cpp", ".m"}
 
 
@@ -88,7 +90,7 @@ def test_each_room_keeps_its_budget_of_lines() -> None:
     lines = dict.fromkeys(budgets, 0)
     for name in listed.stdout.splitlines():
         path = REPOSITORY / name
-        if path.suffix in WRITTEN and path.exists():
+        if path.suffix in WRITTEN and not name.startswith(BUNDLED) and name not in TRANSLATED and path.exists():
             room = max((one for one in budgets if name.startswith(f"{one}/")), key=len)
             lines[room] += path.read_bytes().count(b"\n")
     over = {room: count for room, count in lines.items() if count > budgets[room]}

@@ -24,7 +24,6 @@ from kilter_core.identify import Folds, IdentifyOptions, identify
 from kilter_core.twin import thesis_katana
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
-from kilter_service.jobs.fan_out import cluster as engine
 from kilter_service.jobs.fan_out import fan_out
 from kilter_service.jobs.fan_out import spread as part
 from kilter_service.jobs.work import store
@@ -195,7 +194,7 @@ def test_a_job_succeeds_on_the_cluster(
 def test_a_scheduler_that_is_gone_fails_the_job_with_its_address(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(engine, "AWAY_S", 1.0)
+    monkeypatch.setattr(part, "AWAY_S", 1.0)
     with closing(Cluster(tmp_path, workers=1)) as cluster:
 
         def told(done: float, stage: str) -> None:
@@ -211,7 +210,7 @@ def test_a_scheduler_that_is_gone_fails_the_job_with_its_address(
 def test_a_job_without_its_scheduler_fails_with_the_code_and_no_version(
     client: httpx.Client, database: Database, katana: Katana, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(engine, "CONNECT_S", 0.5)
+    monkeypatch.setattr(part, "CONNECT_S", 0.5)
     with socket.create_server(("127.0.0.1", 0)) as taken:
         address = f"tcp://127.0.0.1:{taken.getsockname()[1]}"
     done = run_job(client, database, katana, address)
@@ -221,6 +220,6 @@ def test_a_job_without_its_scheduler_fails_with_the_code_and_no_version(
 
 
 def test_a_missing_package_is_named_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(engine, "find_spec", lambda name: None)
+    monkeypatch.setattr(part, "find_spec", lambda name: None)
     with pytest.raises(ServiceError, match="pip install distributed"):
         fan_out(1, "tcp://scheduler:8786")

@@ -20,7 +20,7 @@ from kilter_service.ground.caller import CALLER, Caller
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.settings import Settings
-from kilter_service.robots import frames
+from kilter_service.robots import routes
 from kilter_service.run.app import create_app
 from kilter_service.web import gate, logins
 from kilter_service.web.auth.token import admin_token
@@ -192,12 +192,12 @@ def test_time_in_which_the_server_computes_does_not_count(
     quick: tuple[httpx.Client, dict[str, str]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     client, headers = quick
-    found = frames.find_frame
+    found = routes.find_frame
 
     def slowly(frame: NewFrame) -> Frame:
         time.sleep(1.5)
         return found(frame)
 
-    monkeypatch.setattr(frames, "find_frame", slowly)
+    monkeypatch.setattr(routes, "find_frame", slowly)
     points = [{"known_mm": [k, k * k, 0], "measured_mm": [k, k * k, 5]} for k in range(4)]
     assert client.post("/v1/frames", json={"points": points}, headers=headers).status_code == 200

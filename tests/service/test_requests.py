@@ -17,7 +17,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from kilter_service.ground.db import Database
 from kilter_service.ground.settings import Settings
-from kilter_service.robots import frames
+from kilter_service.robots import routes as robot_routes
 from kilter_service.run import app as application
 from kilter_service.run.app import create_app
 from kilter_service.web import bodies
@@ -227,7 +227,7 @@ class Held:
 @pytest.fixture
 def held(monkeypatch: pytest.MonkeyPatch) -> Iterator[Held]:
     held = Held()
-    monkeypatch.setattr(frames, "find_frame", held)
+    monkeypatch.setattr(robot_routes, "find_frame", held)
     yield held
     held.go.set()
 
@@ -277,7 +277,6 @@ def test_nothing_is_parsed_or_computed_on_the_event_loop(
     from kilter_service.ground.tables import reading
     from kilter_service.robots import check
     from kilter_service.robots import documents as resolved
-    from kilter_service.robots import routes as circles
     from kilter_service.robots import service as robots
 
     loops: set[int] = set()
@@ -294,7 +293,7 @@ def test_nothing_is_parsed_or_computed_on_the_event_loop(
 
     watched = [
         (bodies, "_parse_json"), (reading, "column_names"), (campaigns, "upload"), (correction, "correct"),
-        (check, "check"), (circles, "found_robot"), (resolved, "convert"), (robots, "add"), (frames, "find_frame"),
+        (check, "check"), (robot_routes, "found_robot"), (resolved, "convert"), (robots, "add"), (robot_routes, "find_frame"),
     ]  # fmt: skip
     for module, name in watched:
         watch(module, name)

@@ -12,24 +12,13 @@ from types import ModuleType
 
 from kilter_core.arm.kernels import se3
 from kilter_core.correct.file import layout_digest
-from kilter_core.correct.kernels import (
-    chain,
-    doubts,
-    effects,
-    inverse,
-    layout,
-    limits,
-    newton_euler,
-    rates,
-    solver,
-    stream,
-)
+from kilter_core.correct.kernels import chain, effects, inverse, layout, newton_euler, rates, solver, stream
 from kilter_core.motion.kernels import torque
 from tools.c_corrector.translate import Function, wrapped
 from tools.c_corrector.types import Scope
 
 # In the order in which C wants them: what is called stands before its callers.
-MODULES = (se3, chain, newton_euler, effects, solver, limits, inverse, rates, doubts, stream)
+MODULES = (se3, chain, newton_euler, effects, solver, inverse, rates, stream)
 # Entries that work on whole arrays of numpy: in C, :file:`public.c` has their place.
 LEFT_OUT = ("step", "follow", "correct_rows")
 # A sum beside a difference of products, which GCC makes one instruction of: tests/core/correct/test_c_corrector.py finds them.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Mapping
@@ -133,21 +134,15 @@ def read(name: str) -> str:
     return (REPOSITORY / name).read_text(encoding="utf-8")
 
 
-def formatted(module: str) -> str:
-    """Return a module as the formatter leaves it."""
-    ruff = str(Path(sys.executable).with_name("ruff"))
-    done = subprocess.run(
-        [ruff, "format", "-"], input=module, capture_output=True, text=True, check=True, cwd=REPOSITORY
-    )
-    return done.stdout
-
-
 def main() -> int:
     """Write, or compare with --check; 1 when something is not up to date."""
     parser = argparse.ArgumentParser(prog="python -m tools.contract", description=__doc__)
     parser.add_argument("--check", action="store_true", help="write nothing, say what is not up to date")
     parser.add_argument("--made", action="store_true", help="only what git does not hold")
     given = parser.parse_args()
+    if not (given.made or given.check) and stale(modules(), check=False):
+        # What is imported is the contract before.
+        os.execv(sys.executable, [sys.executable, "-m", "tools.contract"])  # noqa: S606 (itself)
     found = [stale(files(), given.check) for files in (MADE if given.made else ALL)]
     return 1 if given.check and any(found) else 0
 

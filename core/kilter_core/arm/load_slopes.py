@@ -120,10 +120,11 @@ class LoadSlopes:
     def _on_axes(self, axes: Ints, frames: Floats, point: int, components: Ints, errors: Floats) -> Floats:
         """Slopes or changes (C, K, N, m) of ``components (m, C)`` of the loads on the moving ``axes`` in their frames."""
         o, robot = self.rows, self.robot
+        rows = len(o.q)
         hung = Deflection.none(*o.q.shape) if self.deflection is None else self.deflection
         program, links = robot.chain.program, [robot.links[k] for k in self.bodies]
-        kg = np.zeros(len(o)) if o.payload_kg is None else np.where(o.payload_kg > 0.0, o.payload_kg, 0.0)
-        out = np.empty((components.shape[1], 1 if len(errors) else len(self), len(o), len(components)))
+        kg = np.zeros(rows) if o.payload_kg is None else np.where(o.payload_kg > 0.0, o.payload_kg, 0.0)
+        out = np.empty((components.shape[1], 1 if len(errors) else len(self), rows, len(components)))
         load_slopes(
             program.axis,
             program.joint,

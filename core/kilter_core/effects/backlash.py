@@ -10,7 +10,7 @@ import numpy as np
 
 from kilter_core.arm.robot import Robot
 from kilter_core.arm.run_time import RunTimeForm
-from kilter_core.effects.base import SOFTENING, Derivative, Effect, Local, SignedByLoad, linear, option, soft_sign
+from kilter_core.effects.base import SOFTENING, Derivative, Effect, Local, SignedByLoad, joint_twists, option
 from kilter_core.effects.batch import Batch
 from kilter_core.effects.physical import JOINT_CURVE, JOINT_TILT, JOINT_TWIST, REVERSAL, Separator
 from kilter_core.errors import OptionError
@@ -97,8 +97,7 @@ class BacklashLoad(SignedByLoad):
 
     def local(self, batch: Batch, values: Floats) -> Local:
         """Joint correction and its derivative by b."""
-        acting = enumerate(self.acting(batch.q.shape[1]))
-        return linear(batch, values, [Derivative(k, j, dq=self._side(batch, k, j)) for k, j in acting])
+        return self.joint_angle(batch, values, self._sides(batch))
 
     def at_run_time(self, form: RunTimeForm, values: Floats) -> bool:
         """Add the backlash, where no other effect has one by the load."""
@@ -106,14 +105,17 @@ class BacklashLoad(SignedByLoad):
 
     def doubt(self, batch: Batch, values: Floats) -> tuple[Derivative, ...]:
         """Scatter of a sign s around its expectation, √(1 − s²), times b."""
+        left = np.sqrt(1.0 - self._sides(batch) ** 2)
         acting = enumerate(self.acting(batch.q.shape[1]))
-        left = ((k, j, 1.0 - self._side(batch, k, j) ** 2) for k, j in acting if values[k] != 0.0)
-        return tuple(Derivative(k, j, dq=values[k] * np.sqrt(share)) for k, j, share in left)
+        return tuple(Derivative(k, j, dq=values[k] * left[:, j]) for k, j in acting if values[k] != 0.0)
 
-    def _side(self, batch: Batch, place: int, joint: int) -> Floats:
-        about = batch.sided_axial[:, joint]
-        soft = soft_sign(about, self.sign_half_width(batch, place, joint))
-        return np.where(np.abs(about) > NO_MOMENT_NM, soft, 0.0)
+    def _sides(self, batch: Batch) -> Floats:
+        """On which flank each joint rests (N, n); 0 where the effect does not act."""
+        joints = list(self.acting(batch.q.shape[1]))
+        about = batch.sided_axial[:, joints]
+        sides = np.zeros_like(batch.q)
+        sides[:, joints] = np.where(np.abs(about) > NO_MOMENT_NM, self.soft_signs(batch, about), 0.0)
+        return sides
 
 
 @dataclass(frozen=True)
@@ -161,20 +163,15 @@ class ClearanceTilt(SignedByLoad):
 
     def local(self, batch: Batch, values: Floats) -> Local:
         """Twist (0, 0, 0, δα, δβ, 0) per joint and its derivative by C."""
-        n = batch.q.shape[1]
-        xi = np.zeros((len(batch), n, 6))
-        derivatives = []
-        for k, j in enumerate(self.acting(n)):
-            across, about, _ = self._directions(batch, k, j)
-            t = math.tan(values[k])
-            dt = 1.0 + t * t
-            slope = np.zeros((len(batch), 6))
-            for column, part in ((3, across), (4, about)):
-                scale = 1.0 / np.sqrt(1.0 + (t * part) ** 2)
-                xi[:, j, column] = t * part * scale
-                slope[:, column] = dt * part * scale**3
-            derivatives.append(Derivative(k, j, xi=slope))
-        return Local(xi=xi, derivatives=tuple(derivatives))
+        rows, n = batch.q.shape
+        joints = list(self.acting(n))
+        t = np.array([math.tan(value) for value in values])
+        xi, slopes = np.zeros((rows, n, 6)), np.zeros((rows, len(joints), 6))
+        for column, (part, _) in zip((3, 4), self._directions(batch, joints), strict=True):
+            scale = 1.0 / np.sqrt(1.0 + (t * part) ** 2)
+            xi[:, joints, column] = t * part * scale
+            slopes[:, :, column] = (1.0 + t * t) * part * scale**3
+        return Local(xi=xi, derivatives=joint_twists(joints, slopes))
 
     def at_run_time(self, form: RunTimeForm, values: Floats) -> bool:
         """Add the tilts, where no other effect has one."""
@@ -190,28 +187,30 @@ class ClearanceTilt(SignedByLoad):
     def doubt(self, batch: Batch, values: Floats) -> tuple[Derivative, ...]:
         """Scatter of each sign s around its expectation, √(1 − s²), times the tilt."""
         out = []
-        for k, j in enumerate(self.acting(batch.q.shape[1])):
+        joints = list(self.acting(batch.q.shape[1]))
+        sides = self._directions(batch, joints)
+        for k, j in enumerate(joints):
             if values[k] == 0.0:
                 continue
-            for column, left in zip((3, 4), self._directions(batch, k, j)[2], strict=True):
+            for column, (_, left) in zip((3, 4), sides, strict=True):
                 xi = np.zeros((len(batch), 6))
-                xi[:, column] = math.tan(values[k]) * left
+                xi[:, column] = math.tan(values[k]) * left[:, k]
                 out.append(Derivative(k, j, xi=xi))
         return tuple(out)
 
-    def _directions(self, batch: Batch, place: int, joint: int) -> tuple[Floats, Floats, tuple[Floats, Floats]]:
-        """Signed shares of the tilt about x and y, and how far each may be off; no load, no tilt."""
-        mx, my = batch.sided_moment[:, joint, 0], batch.sided_moment[:, joint, 1]
+    def _directions(self, batch: Batch, joints: list[int]) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats]]:
+        """Signed shares (N, A) of the tilts about x and about y, and how far each may be off; no load, no tilt."""
+        moments = batch.sided_moment
+        mx, my = moments[:, joints, 0], moments[:, joints, 1]
         ax, ay = np.abs(mx), np.abs(my)
         total = ax + ay
         # Rounding noise must not decide where a joint without transverse load tilts.
         loaded = total > 1e-9
         share = ax / np.where(loaded, total, 1.0)
         gamma = share * (math.pi / 2.0) if self.share == "thesis" else np.arctan2(ax, ay)
-        width = self.sign_half_width(batch, place, joint)
-        sx, sy = (np.where(loaded, soft_sign(m, width), 0.0) for m in (mx, my))
+        sx, sy = (np.where(loaded, self.soft_signs(batch, m), 0.0) for m in (mx, my))
         along, beside = np.sin(gamma), np.cos(gamma)
-        return sx * along, sy * beside, (along * np.sqrt(1.0 - sx**2), beside * np.sqrt(1.0 - sy**2))
+        return (sx * along, along * np.sqrt(1.0 - sx**2)), (sy * beside, beside * np.sqrt(1.0 - sy**2))
 
 
 @dataclass(frozen=True)

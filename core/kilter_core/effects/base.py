@@ -30,6 +30,7 @@ _PRISMATIC_UNITS = {
     "rad/K": "m/K",
 }
 
+SHORTEST_M = 1e-6  # of a link that has a length
 BASE, TOOL = -1, -2  # places of a twist besides the joints: right after the base frame, and on the tool
 # Places of a twist of a frame, with their units.
 TWIST = (("x", "m"), ("y", "m"), ("z", "m"), ("rx", "rad"), ("ry", "rad"), ("rz", "rad"))
@@ -336,6 +337,24 @@ class Effect(ABC):
             )
         return found
 
+    def restrict_to_long_links(self, robot: Robot) -> Self:
+        """The effect at the joints before links that have a length.
+
+        Raises:
+            OptionError: a joint is named whose link has none.
+
+        """
+        lengths = np.linalg.norm(robot.chain.link_vectors[:-1], axis=1)
+        long = [int(j) for j in np.flatnonzero(lengths > SHORTEST_M)]
+        return self.restrict_to_joints(robot, long, "its link has no length. Name the joint before a long link.")
+
+    def along_links(self, batch: Batch, values: Floats, course: Floats) -> Local:
+        """Local correction that shifts the frame of each joint by ``course (N,)`` of its link, by one parameter for each."""
+        joints = list(self.acting(batch.q.shape[1]))
+        slopes = np.zeros((len(batch), len(joints), 6))
+        slopes[:, :, :3] = course[:, None, None] * batch.link_vectors[joints]
+        return linear(batch, values, joint_twists(joints, slopes))
+
     def joint_angle(self, batch: Batch, values: Floats, *signals: Floats) -> Local:
         """Local correction ``dq_j = value * signal_j`` summed over ``signals (N, n)``; values signal by signal."""
         acting = self.acting(batch.q.shape[1])
@@ -343,9 +362,28 @@ class Effect(ABC):
         return linear(batch, values, [Derivative(k, j, dq=signal[:, j]) for k, (signal, j) in enumerate(places)])
 
 
-def soft_sign(x: Floats, width: float) -> Floats:
-    """sign(x), or tanh(x / width) when ``width`` > 0: a sign read from a noisy moment is not a step."""
-    return np.sign(x) if width <= 0.0 else np.tanh(x / width)
+def frame_twists(batch: Batch, values: Floats, place: int, moved: Iterable[Floats]) -> Local:
+    """Local corrections of a frame, :data:`BASE` or :data:`TOOL`, by twists ``moved (N, 6)``, one for each parameter."""
+    return linear(batch, values, [Derivative(k, place, xi=xi) for k, xi in enumerate(moved)])
+
+
+def frame_rates(stem: str, per: str, sigma: float, wide: float) -> tuple[Parameter, ...]:
+    """Rates of the base's frame ``per`` second or kelvin: along x, y, z, then about them."""
+    return tuple(
+        Parameter(f"{stem}_{k}", f"{unit}/{per}", 0.0, sigma, -wide, wide, f"rate of the base's {k}")
+        for k, unit in TWIST
+    )
+
+
+def joint_twists(joints: Sequence[int], slopes: Floats) -> tuple[Derivative, ...]:
+    """Derivatives of twists ``slopes (N, A, 6)``, by one parameter for each of the ``joints (A)``."""
+    return tuple(Derivative(k, j, xi=slopes[:, k]) for k, j in enumerate(joints))
+
+
+def soft_sign(x: Floats, width: Floats) -> Floats:
+    """sign(x), or tanh(x / width) where ``width`` > 0: a sign read from a noisy moment is not a step."""
+    soft = width > 0.0
+    return np.where(soft, np.tanh(x / np.where(soft, width, 1.0)), np.sign(x)) if np.any(soft) else np.sign(x)
 
 
 # A tanh of this width, in standard deviations, rises through zero as the expectation of the sign does, erf(x / √2 σ).
@@ -361,10 +399,15 @@ class SignedByLoad(Effect):
     about: ClassVar[bool]
     softening_nm: float | tuple[float, ...]
 
-    def sign_half_width(self, batch: Batch, place: int, joint: int) -> float:
-        """Half-width N·m of a sign: that of the configuration (per acting joint), or of the batch's blur where it is wider."""
-        own = self.softening_nm[place] if isinstance(self.softening_nm, tuple) else self.softening_nm
-        return own if batch.blur is None else max(own, BLUR_WIDTH * float(batch.blur[joint, int(self.about)]))
+    def soft_signs(self, batch: Batch, loads: Floats) -> Floats:
+        """Signs of ``loads (N, A)`` on the joints the effect acts on."""
+        return soft_sign(loads, self.sign_half_widths(batch))
+
+    def sign_half_widths(self, batch: Batch) -> Floats:
+        """Half-widths (A,) N·m of the signs: those of the configuration, or of the batch's blur where it is wider."""
+        joints = self.acting(batch.q.shape[1])
+        own = np.broadcast_to(np.asarray(self.softening_nm, dtype=np.float64), len(joints))
+        return own if batch.blur is None else np.maximum(own, BLUR_WIDTH * batch.blur[list(joints), int(self.about)])
 
     def smooth_over(self, load_nm: float) -> bool:
         """Whether every sign changes over more than this."""
@@ -374,8 +417,7 @@ class SignedByLoad(Effect):
         """The sign as soft as it is in this batch."""
         if batch.blur is None:
             return self
-        acting = enumerate(self.acting(batch.q.shape[1]))
-        widths: dict[str, Any] = {"softening_nm": tuple(self.sign_half_width(batch, k, j) for k, j in acting)}
+        widths: dict[str, Any] = {"softening_nm": tuple(self.sign_half_widths(batch).tolist())}
         return replace(self, **widths)
 
 

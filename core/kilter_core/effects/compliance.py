@@ -12,7 +12,7 @@ import numpy as np
 from kilter_core.arm.load_wrenches import axial_loads, row_load_wrenches
 from kilter_core.arm.robot import Robot
 from kilter_core.arm.run_time import RunTimeForm, Shape
-from kilter_core.effects.base import BASE, Derivative, Effect, Local, linear, option
+from kilter_core.effects.base import BASE, Derivative, Effect, Local, frame_twists, linear, option
 from kilter_core.effects.batch import Batch
 from kilter_core.effects.curves import JointCurve
 from kilter_core.effects.physical import BASE_TILT, JOINT_CURVE, JOINT_TILT, JOINT_TWIST, Separator
@@ -123,7 +123,7 @@ class BaseCompliance(Effect):
         tilts = np.zeros((2, len(batch), 6))
         tilts[0, :, 3] = batch.base_wrench[:, 3]
         tilts[1, :, 4] = batch.base_wrench[:, 4]
-        return linear(batch, values, [Derivative(k, BASE, xi=xi) for k, xi in enumerate(tilts)])
+        return frame_twists(batch, values, BASE, tilts)
 
     def at_run_time(self, form: RunTimeForm, values: Floats) -> bool:
         """Add the compliances of the base mount."""

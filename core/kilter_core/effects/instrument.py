@@ -9,7 +9,7 @@ import numpy as np
 
 from kilter_core.arm.robot import Robot
 from kilter_core.arm.run_time import RunTimeForm, Shape
-from kilter_core.effects.base import BASE, Derivative, Effect, Local, linear, option
+from kilter_core.effects.base import BASE, Derivative, Effect, Local, frame_twists, linear, option
 from kilter_core.effects.batch import Batch
 from kilter_core.effects.physical import DELAY, INSTRUMENT, READ_STATION
 from kilter_core.errors import OptionError
@@ -145,7 +145,7 @@ class MeasuredTilt(Effect):
         """Twist of the base and its derivatives."""
         x, y = (np.asarray(self.column(batch, f"base_tilt_{k}"), dtype=np.float64) for k in "xy")
         moved = _base_twists(x - _zero(self.zero_x_rad), y - _zero(self.zero_y_rad))
-        return linear(batch, values, [Derivative(k, BASE, xi=xi) for k, xi in enumerate(moved)])
+        return frame_twists(batch, values, BASE, moved)
 
     def at_run_time(self, form: RunTimeForm, values: Floats) -> bool:
         """Move the base by the tilt of now, where one is stated."""

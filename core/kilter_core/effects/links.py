@@ -14,7 +14,7 @@ import numpy as np
 from kilter_core.arm.load_wrenches import joint_loads
 from kilter_core.arm.robot import STANDARD_GRAVITY, Robot
 from kilter_core.arm.run_time import RunTimeForm
-from kilter_core.effects.base import Derivative, Effect, Local, linear, option
+from kilter_core.effects.base import SHORTEST_M, Derivative, Effect, Local, linear, option
 from kilter_core.effects.batch import Batch
 from kilter_core.effects.physical import LINK_SAG, LINK_TWIST, TELESCOPE_SAG, TOOL_SAG, Separator
 from kilter_core.errors import OptionError
@@ -23,7 +23,6 @@ from kilter_core.parameters import Parameter
 from kilter_core.transforms import rotation_along
 from kilter_core.types import Floats
 
-SHORTEST_M = 1e-6
 PARALLEL = 1e-3  # rad between axes: an error of assembly, not a design
 WRENCH = (0, 1, 2, 3, 4, 5)
 

@@ -11,7 +11,7 @@ from typing import Any, Self
 import numpy as np
 
 from kilter_core.arm.robot import Robot
-from kilter_core.effects.base import BASE, TWIST, Derivative, Effect, Local, linear, option
+from kilter_core.effects.base import BASE, TWIST, Effect, Local, frame_rates, frame_twists, option
 from kilter_core.effects.batch import Batch
 from kilter_core.effects.laws import LawOfTime, settled_share, span_of_clock, time_constants
 from kilter_core.effects.physical import JOINT_ZERO, LINK_LENGTH, STATION, Separator
@@ -41,17 +41,12 @@ class Drift(LawOfTime):
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         """Rates along x, y, z, m/s, then about them, rad/s."""
-        return tuple(
-            Parameter(
-                f"drift_{k}", f"{'rad' if 'r' in k else 'm'}/s", 0.0, 1e-6, -1e-4, 1e-4, f"rate of the base's {k}"
-            )
-            for k in ("x", "y", "z", "rx", "ry", "rz")
-        )
+        return frame_rates("drift", "s", 1e-6, 1e-4)
 
     def local(self, batch: Batch, values: Floats) -> Local:
         """Twist of the base and its derivatives by the rates."""
         moved = np.eye(6)[:, None, :] * self.elapsed_time(batch)[:, None]
-        return linear(batch, values, [Derivative(k, BASE, xi=xi) for k, xi in enumerate(moved)])
+        return frame_twists(batch, values, BASE, moved)
 
 
 USUAL = 0.2  # of the campaign, when no time constant is given
@@ -119,7 +114,7 @@ class Settling(LawOfTime):
             raise OptionError("settling needs tau_s: give its time constant in s.", effect=self.id)
         settled = settled_share(self.elapsed_time(batch), self.tau_s)
         moved = np.eye(6)[:, None, :] * settled[:, None]
-        return linear(batch, values, [Derivative(k, BASE, xi=xi) for k, xi in enumerate(moved)])
+        return frame_twists(batch, values, BASE, moved)
 
 
 PIECES = 6
@@ -216,10 +211,7 @@ class RandomWalk(Effect):
         t = np.where(applicable_time_mask(t, first, last), t, first)
         done = [np.clip((t - begin) / (end - begin), 0.0, 1.0) for begin, end in pairwise(self.knots_s)]
         moved = [axis * part[:, None] for part in done for axis in np.eye(6)[:3]]
-        return linear(batch, values, [Derivative(k, BASE, xi=xi) for k, xi in enumerate(moved)])
-
-
-SHORTEST_M = 1e-6
+        return frame_twists(batch, values, BASE, moved)
 
 
 @dataclass(frozen=True)
@@ -248,13 +240,7 @@ class LinkLengthening(LawOfTime):
 
     def configure_for_robot(self, robot: Robot, rows: Observations | None = None) -> Self:
         """Begin at the earliest row, at the links that have a length."""
-        lengths = np.linalg.norm(robot.chain.link_vectors[:-1], axis=1)
-        long = [int(j) for j in np.flatnonzero(lengths > SHORTEST_M)]
-        return (
-            super()
-            .configure_for_robot(robot, rows)
-            .restrict_to_joints(robot, long, "its link has no length. Name the joint before a long link.")
-        )
+        return super().configure_for_robot(robot, rows).restrict_to_long_links(robot)
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         """Rate r per link, 1/s, or strain e in the end, named with τ; 5e-4 is aluminium that warms by 20 K."""
@@ -266,13 +252,7 @@ class LinkLengthening(LawOfTime):
     def local(self, batch: Batch, values: Floats) -> Local:
         """Shift of each joint's frame along its link, and the derivative."""
         elapsed = self.elapsed_time(batch)
-        course = elapsed if self.tau_s is None else settled_share(elapsed, self.tau_s)
-        derivatives = []
-        for k, j in enumerate(self.acting(batch.q.shape[1])):
-            xi = np.zeros((len(batch), 6))
-            xi[:, :3] = course[:, None] * batch.link_vectors[j]
-            derivatives.append(Derivative(k, j, xi=xi))
-        return linear(batch, values, derivatives)
+        return self.along_links(batch, values, elapsed if self.tau_s is None else settled_share(elapsed, self.tau_s))
 
 
 @dataclass(frozen=True)

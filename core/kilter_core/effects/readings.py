@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -205,7 +205,43 @@ class EncoderCurve(JointCurve):
 
 
 @dataclass(frozen=True)
-class Eccentricity(JointCurve):
+class Harmonic(JointCurve):
+    """dq = a sin m q + b cos m q, m times per revolution of the joint."""
+
+    physical = JOINT_CURVE
+    separated_by = (Separator.TURN,)
+    source = "Whitney, Lozinski and Rourke 1986; Hu 2020, harmonic model of joint modules"
+    order: ClassVar[int]
+    sigma_deg: ClassVar[float]
+
+    def configure_for_robot(self, robot: Robot, rows: Observations | None = None) -> Self:
+        """Act on revolute joints."""
+        return self.revolute(robot)
+
+    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
+        """Amplitudes a then b per joint, rad."""
+        sigma, wide = math.radians(self.sigma_deg), math.radians(10.0 * self.sigma_deg)
+        angle = "q" if self.order == 1 else f"{self.order}q"
+        return tuple(
+            p
+            for wave in ("sin", "cos")
+            for p in self.per_joint(
+                robot, f"{self.id}_{wave}", "rad", sigma, -wide, wide, f"amplitude of {wave} {angle}"
+            )
+        )
+
+    def signals(self, q: Floats) -> Sequence[Floats]:
+        """Sine and cosine."""
+        return np.sin(self.order * q), np.cos(self.order * q)
+
+    def add_curves(self, form: RunTimeForm, values: Floats) -> None:
+        """Add a wave for each joint."""
+        joints = self.acting(len(form.joints))
+        form.waves(joints, values, [(float(self.order),)] * len(joints))
+
+
+@dataclass(frozen=True)
+class Eccentricity(Harmonic):
     """dq = a sin q + b cos q, once per revolution of the joint.
 
     The cosine is b at q = 0 and so partly an encoder offset: separating them is the geometric fit's business.
@@ -213,70 +249,20 @@ class Eccentricity(JointCurve):
 
     id = "eccentricity"
     summary = "once-per-revolution error of a joint: encoder disc or output gear off centre"
-    physical = JOINT_CURVE
-    separated_by = (Separator.TURN,)
-    source = "Whitney, Lozinski and Rourke 1986; Hu 2020, harmonic model of joint modules"
     aliases = ("encoder_scale", "gravity_spring", "second_harmonic", "axial_compliance")
     remedy = "move the joint over more than 180 degrees; repeat poses with a second payload, which it ignores"
-
-    def configure_for_robot(self, robot: Robot, rows: Observations | None = None) -> Self:
-        """Act on revolute joints."""
-        return self.revolute(robot)
-
-    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
-        """Amplitudes a then b per joint, rad."""
-        sigma, wide = math.radians(0.1), math.radians(1.0)
-        return tuple(
-            p
-            for wave in ("sin", "cos")
-            for p in self.per_joint(robot, f"eccentricity_{wave}", "rad", sigma, -wide, wide, f"amplitude of {wave} q")
-        )
-
-    def signals(self, q: Floats) -> Sequence[Floats]:
-        """Sine and cosine."""
-        return np.sin(q), np.cos(q)
-
-    def add_curves(self, form: RunTimeForm, values: Floats) -> None:
-        """Add a wave for each joint."""
-        joints = self.acting(len(form.joints))
-        form.waves(joints, values, [(1.0,)] * len(joints))
+    order, sigma_deg = 1, 0.1
 
 
 @dataclass(frozen=True)
-class SecondHarmonic(JointCurve):
+class SecondHarmonic(Harmonic):
     """dq = a sin 2q + b cos 2q, twice per revolution of the joint."""
 
     id = "second_harmonic"
     summary = "twice-per-revolution error of a joint: coupling or ovality"
-    physical = JOINT_CURVE
-    separated_by = (Separator.TURN,)
-    source = "Whitney, Lozinski and Rourke 1986; Hu 2020, harmonic model of joint modules"
     aliases = ("eccentricity", "encoder_scale", "gravity_spring")
     remedy = "move the joint over more than 180 degrees: on a short range it looks like the first harmonic"
-
-    def configure_for_robot(self, robot: Robot, rows: Observations | None = None) -> Self:
-        """Act on revolute joints."""
-        return self.revolute(robot)
-
-    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
-        """Amplitudes a then b per joint, rad."""
-        sigma, wide = math.radians(0.05), math.radians(0.5)
-        return tuple(
-            p
-            for wave in ("sin", "cos")
-            for p in self.per_joint(
-                robot, f"second_harmonic_{wave}", "rad", sigma, -wide, wide, f"amplitude of {wave} 2q"
-            )
-        )
-
-    def signals(self, q: Floats) -> Sequence[Floats]:
-        """Sine and cosine."""
-        return np.sin(2.0 * q), np.cos(2.0 * q)
-
-    def add_curves(self, form: RunTimeForm, values: Floats) -> None:
-        """Add a wave for each joint."""
-        joints = self.acting(len(form.joints))
-        form.waves(joints, values, [(2.0,)] * len(joints))
+    order, sigma_deg = 2, 0.05
 
 
 @dataclass(frozen=True)

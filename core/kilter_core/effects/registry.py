@@ -17,7 +17,7 @@ from kilter_core.effects.compliance import (
     RadialCompliance,
     StrainWave,
 )
-from kilter_core.effects.guide import GuideRotation, Straightness
+from kilter_core.effects.curves import GuideRotation, Straightness
 from kilter_core.effects.instrument import MeasuredTilt, MeasurementScale, TimeOffset, TrackingLag
 from kilter_core.effects.links import LinkBending, LinkTorsion, TelescopeBending, ToolSag
 from kilter_core.effects.masses import LoadError, PayloadError

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import ClassVar, Self
 
 import numpy as np
 
 from kilter_core.arm.robot import Robot
 from kilter_core.arm.run_time import RunTimeForm
-from kilter_core.effects.base import BASE, TOOL, TWIST, Derivative, Effect, Local, linear, option
+from kilter_core.effects.base import BASE, TOOL, TWIST, Effect, Local, frame_twists, option
 from kilter_core.effects.batch import Batch
 from kilter_core.effects.laws import Step
 from kilter_core.effects.physical import JOINT_ZERO, STATION, TOOL_SHIFT
@@ -20,7 +20,28 @@ from kilter_core.types import Floats
 
 
 @dataclass(frozen=True)
-class BaseStep(Step):
+class FrameStep(Step):
+    """A frame moved by a twist between two rows, in its own axes."""
+
+    frame: ClassVar[str]
+    place: ClassVar[int]
+    at_joints = False
+
+    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
+        """How far it moved along x, y, z of its own axes, m, then about them, rad."""
+        return tuple(
+            Parameter(f"step_{self.frame}_{k}", unit, 0.0, 5e-3, -0.1, 0.1, f"how far the {self.frame} moved: its {k}")
+            for k, unit in TWIST
+        )
+
+    def local(self, batch: Batch, values: Floats) -> Local:
+        """Twist of the frame and its derivatives by how far it moved."""
+        before = -batch.before_event_indicator(self.at_s, self.at_row)
+        return frame_twists(batch, values, self.place, np.eye(6)[:, None, :] * before[:, None])
+
+
+@dataclass(frozen=True)
+class BaseStep(FrameStep):
     """The base frame moved by a twist between two rows, in its own axes."""
 
     id = "base_step"
@@ -29,20 +50,7 @@ class BaseStep(Step):
     stage = "base"
     aliases = ("drift", "settling", "random_walk", "zero_step")
     remedy = "give the rows before and after it a session each, and let every session have a base of its own"
-    at_joints = False
-
-    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
-        """How far it moved along x, y, z, m, then about them, rad."""
-        return tuple(
-            Parameter(f"step_base_{k}", unit, 0.0, 5e-3, -0.1, 0.1, f"how far the base moved: its {k}")
-            for k, unit in TWIST
-        )
-
-    def local(self, batch: Batch, values: Floats) -> Local:
-        """Twist of the base and its derivatives by how far it moved."""
-        before = -batch.before_event_indicator(self.at_s, self.at_row)
-        moved = np.eye(6)[:, None, :] * before[:, None]
-        return linear(batch, values, [Derivative(k, BASE, xi=xi) for k, xi in enumerate(moved)])
+    frame, place = "base", BASE
 
     def at_run_time(self, form: RunTimeForm, values: Floats) -> bool:
         """Add nothing: what moves now does so after it."""
@@ -50,7 +58,7 @@ class BaseStep(Step):
 
 
 @dataclass(frozen=True)
-class ToolStep(Step):
+class ToolStep(FrameStep):
     """The tool frame moved by a twist between two rows, in its own axes.
 
     Points of one reflector show no rotation about it.
@@ -62,20 +70,7 @@ class ToolStep(Step):
     stage = "measurement"
     aliases = ("session_shift", "base_step")
     remedy = "give the rows before and after it a session each, and let every session have a tool of its own"
-    at_joints = False
-
-    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
-        """How far it moved along x, y, z of the tool frame, m, then about them, rad."""
-        return tuple(
-            Parameter(f"step_tool_{k}", unit, 0.0, 5e-3, -0.1, 0.1, f"how far the tool moved: its {k}")
-            for k, unit in TWIST
-        )
-
-    def local(self, batch: Batch, values: Floats) -> Local:
-        """Twist of the tool and its derivatives by how far it moved."""
-        before = -batch.before_event_indicator(self.at_s, self.at_row)
-        moved = np.eye(6)[:, None, :] * before[:, None]
-        return linear(batch, values, [Derivative(k, TOOL, xi=xi) for k, xi in enumerate(moved)])
+    frame, place = "tool", TOOL
 
 
 @dataclass(frozen=True)
@@ -161,4 +156,4 @@ class SessionShift(Effect):
         """Twist of the tool and its derivatives by how it moved."""
         session = self.column(batch, "session")
         shifts = [axis * (session == code)[:, None] for code in self.sessions[1:] for axis in np.eye(6)]
-        return linear(batch, values, [Derivative(k, TOOL, xi=xi) for k, xi in enumerate(shifts)])
+        return frame_twists(batch, values, TOOL, shifts)

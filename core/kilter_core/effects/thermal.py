@@ -9,7 +9,7 @@ import numpy as np
 
 from kilter_core.arm.robot import Robot
 from kilter_core.arm.run_time import RunTimeForm
-from kilter_core.effects.base import BASE, Derivative, Local, linear
+from kilter_core.effects.base import BASE, Derivative, Local, frame_rates, frame_twists, linear
 from kilter_core.effects.batch import Batch
 from kilter_core.effects.laws import LawOfTemperature
 from kilter_core.effects.physical import JOINT_ZERO, THERMAL, Separator
@@ -38,24 +38,13 @@ class ThermalDrift(LawOfTemperature):
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         """Rates along x, y, z, m/K, then about them, rad/K."""
-        return tuple(
-            Parameter(
-                f"thermal_drift_{k}",
-                f"{'rad' if 'r' in k else 'm'}/K",
-                0.0,
-                1e-5,
-                -2e-4,
-                2e-4,
-                f"rate of the base's {k}",
-            )
-            for k in ("x", "y", "z", "rx", "ry", "rz")
-        )
+        return frame_rates("thermal_drift", "K", 1e-5, 2e-4)
 
     def local(self, batch: Batch, values: Floats) -> Local:
         """Twist of the base and its derivatives by the rates."""
         warmer = self.warmer(batch)
         moved = np.eye(6)[:, None, :] * warmer[:, None]
-        return linear(batch, values, [Derivative(k, BASE, xi=xi) for k, xi in enumerate(moved)])
+        return frame_twists(batch, values, BASE, moved)
 
 
 @dataclass(frozen=True)
@@ -102,9 +91,6 @@ class ThermalGrowth(LawOfTemperature):
         return True
 
 
-SHORTEST_M = 1e-6
-
-
 @dataclass(frozen=True)
 class LinkGrowth(LawOfTemperature):
     """The link after joint i grows by α (T − T0) of its length, the others do not; ``reference_c`` is T0.
@@ -123,9 +109,7 @@ class LinkGrowth(LawOfTemperature):
 
     def configure_for_robot(self, robot: Robot, rows: Observations | None = None) -> Self:
         """Act on the links that have a length."""
-        lengths = np.linalg.norm(robot.chain.link_vectors[:-1], axis=1)
-        long = [int(j) for j in np.flatnonzero(lengths > SHORTEST_M)]
-        return self.restrict_to_joints(robot, long, "its link has no length. Name the joint before a long link.")
+        return self.restrict_to_long_links(robot)
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         """Coefficient of expansion α per link, 1/K; steel has 12e-6, aluminium 23e-6."""
@@ -134,13 +118,7 @@ class LinkGrowth(LawOfTemperature):
 
     def local(self, batch: Batch, values: Floats) -> Local:
         """Shift of each joint's frame along its link, and the derivative."""
-        warmer = self.warmer(batch)
-        derivatives = []
-        for k, j in enumerate(self.acting(batch.q.shape[1])):
-            xi = np.zeros((len(batch), 6))
-            xi[:, :3] = warmer[:, None] * batch.link_vectors[j]
-            derivatives.append(Derivative(k, j, xi=xi))
-        return linear(batch, values, derivatives)
+        return self.along_links(batch, values, self.warmer(batch))
 
     def at_run_time(self, form: RunTimeForm, values: Floats) -> bool:
         """Add the growth of each link at the temperature of now."""
@@ -234,7 +212,7 @@ class ColumnBending(LawOfTemperature):
         warmer = self.warmer(batch)
         turns = np.zeros((2, len(batch), 6))
         turns[0, :, 3] = turns[1, :, 4] = warmer
-        return linear(batch, values, [Derivative(k, BASE, xi=xi) for k, xi in enumerate(turns)])
+        return frame_twists(batch, values, BASE, turns)
 
     def at_run_time(self, form: RunTimeForm, values: Floats) -> bool:
         """Add the tilt of the base at the temperature of now."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from kilter_core.arm.robot import Robot
 from kilter_core.arm.run_time import RunTimeForm, Shape
-from kilter_core.effects.base import BASE, Derivative, Effect, Local, linear, option
+from kilter_core.effects.base import BASE, Effect, Local, frame_twists, option
 from kilter_core.effects.batch import Batch
 from kilter_core.effects.curves import JointCurve, OverRange
 from kilter_core.effects.physical import JOINT_CURVE, SHAPE
@@ -118,7 +118,7 @@ class UnknownField(Effect):
             shift[:, a] = np.prod(p[:, powers], axis=1)
             if len(powers) == 1:
                 shift[:, powers[0]] = p[:, a]
-        return linear(batch, values, [Derivative(k, BASE, xi=xi) for k, xi in enumerate(shifts)])
+        return frame_twists(batch, values, BASE, shifts)
 
     def _terms(self) -> list[tuple[int, tuple[int, ...]]]:
         """Component and factors of each term."""
@@ -289,7 +289,7 @@ class UnknownResidual(Effect):
         for axis in range(3):
             shifts[:, axis, :, axis] = basis.T
         each = (shifts[k, axis] for k in range(len(shifts)) for axis in range(3))
-        return linear(batch, values, [Derivative(k, BASE, xi=xi) for k, xi in enumerate(each)])
+        return frame_twists(batch, values, BASE, each)
 
     def basis(self, q: Floats) -> Floats:
         """Functions (N, M) of the inputs ``q (N, inputs)``, whitened: unit weights give the process unit variance."""

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.special import ndtri
 
+from kilter_core.errors import FindingDocument
 from kilter_core.identify.comparison import Difference, PoseErrors, elsewhere
 from kilter_core.identify.estimate import new_frames, refit_frames
 from kilter_core.identify.uncertainty.predictive import Predictive
@@ -45,7 +46,7 @@ def far_off(error: Floats, u95: Floats) -> tuple[Ints, Floats]:
     return rows, sigmas[rows]
 
 
-def warning(error: Floats, u95: Floats | None) -> Iterator[dict[str, Any]]:
+def warning(error: Floats, u95: Floats | None) -> Iterator[FindingDocument]:
     """Name the rows that are far off; nothing where none is, or nobody knows what was to be expected."""
     rows, sigmas = (np.zeros(0, dtype=np.int64), np.zeros(0)) if u95 is None else far_off(error, u95)
     if not len(rows):
@@ -56,15 +57,15 @@ def warning(error: Floats, u95: Floats | None) -> Iterator[dict[str, Any]]:
     most = mm(float(np.nanmedian(others)))
     named = [f"{row + 1} ({off:.3g} mm, {far:.2g} sigma)" for row, off, far in zip(rows, off_mm, sigmas, strict=True)]
     more = f" and {len(named) - LISTED} more" if len(named) > LISTED else ""
-    yield {
-        "code": "rows_far_off",
-        "rows": (rows + 1).tolist(),
-        "off_mm": off_mm,
-        "sigmas": sigmas.tolist(),
-        "message": f"{'Row' if len(rows) == 1 else 'Rows'} {', '.join(named[:LISTED])}{more} miss the prediction by far more "
+    yield FindingDocument.make(
+        "rows_far_off",
+        f"{'Row' if len(rows) == 1 else 'Rows'} {', '.join(named[:LISTED])}{more} miss the prediction by far more "
         f"than is expected there; of the others the median misses by {most:.2g} mm. Look at their joints and positions. Where "
         "they are wrong, send the other rows as a campaign of their own, and retire this one.",
-    }
+        rows=(rows + 1).tolist(),
+        off_mm=off_mm,
+        sigmas=sigmas.tolist(),
+    )
 
 
 COVERED = 0.9  # share of coordinates below which 95 % intervals do not hold: poses share errors, so no closer
@@ -144,13 +145,13 @@ def _left_open(calibration: Calibration, measurement: Measurement, known: Predic
 
 def _warnings(
     stages: Mapping[str, Calibration], measurement: Measurement, refit: Sequence[str], table: Rows
-) -> list[dict[str, Any]]:
+) -> list[FindingDocument]:
     """What speaks against the calibration here; nothing does in frames that are not those of the rows."""
     apart = list(elsewhere(stages["identified"], measurement, refit=refit))
     return apart or [*_worse(stages, measurement), *_narrow(table.interval_coverage), *warning(table.error, table.u95)]
 
 
-def _worse(stages: Mapping[str, Calibration], measurement: Measurement) -> Iterator[dict[str, Any]]:
+def _worse(stages: Mapping[str, Calibration], measurement: Measurement) -> Iterator[FindingDocument]:
     """Warn where these rows are predicted worse than without the calibration, frames fitted alike, or than by frames alone."""
     errors = PoseErrors.from_calibrations(stages, measurement).stages
     found = errors["identified"]
@@ -165,25 +166,25 @@ def _worse(stages: Mapping[str, Calibration], measurement: Measurement) -> Itera
     for stage, (code, simpler, advice) in words.items():
         plain = errors[stage]
         if Difference.from_paired_errors(found, plain).worse:
-            yield {
-                "code": code,
-                "simpler_mm": mm(float(plain.mean())),
-                "identified_mm": mm(float(found.mean())),
-                "message": f"These rows are predicted worse with it ({mm(found.mean()):.3g} mm, mean by pose) than with "
+            yield FindingDocument.make(
+                code,
+                f"These rows are predicted worse with it ({mm(found.mean()):.3g} mm, mean by pose) than with "
                 f"{simpler} ({mm(plain.mean()):.3g} mm): {advice}",
-            }
+                simpler_mm=mm(float(plain.mean())),
+                identified_mm=mm(float(found.mean())),
+            )
             return
 
 
-def _narrow(within: float | None) -> Iterator[dict[str, Any]]:
+def _narrow(within: float | None) -> Iterator[FindingDocument]:
     """Warn where the intervals of a calibration do not cover these rows."""
     if within is not None and within < COVERED:
-        yield {
-            "code": "intervals_too_narrow",
-            "within_u95": within,
-            "message": f"Only {within:.0%} of the coordinates lie within their 95 % intervals: what the version states of "
+        yield FindingDocument.make(
+            "intervals_too_narrow",
+            f"Only {within:.0%} of the coordinates lie within their 95 % intervals: what the version states of "
             "itself does not hold for these rows.",
-        }
+            within_u95=within,
+        )
 
 
 @dataclass(frozen=True)

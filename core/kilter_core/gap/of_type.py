@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from kilter_core.arm.robot import Robot
-from kilter_core.errors import OptionError
+from kilter_core.errors import FindingDocument, OptionError
 from kilter_core.gap.options import GapOptions
 from kilter_core.identify.fit.least_squares import Fit
 from kilter_core.identify.fleet_prior import FleetPrior, FleetVersion, of_its_type
@@ -32,7 +32,7 @@ class KnownType:
         """The prior of the contract."""
         return prior_document(self.fleet, self.fit)
 
-    def warnings(self) -> list[dict[str, Any]]:
+    def warnings(self) -> list[FindingDocument]:
         """What to know of the prior."""
         return list(prior_warnings(self.fleet, self.fit))
 

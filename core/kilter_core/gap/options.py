@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from kilter_core.effects.base import option
-from kilter_core.errors import OptionError
+from kilter_core.errors import FindingDocument, OptionError
 from kilter_core.identify.options import (
     FRAME,
     MOST_SEED,
@@ -145,17 +145,17 @@ class Budget:
 
         return report_and_check_deadline if self.seconds is not None else progress
 
-    def warnings(self) -> tuple[dict[str, Any], ...]:
+    def warnings(self) -> tuple[FindingDocument, ...]:
         """Say what there was no time for."""
         if not self.left_out:
             return ()
         return (
-            {
-                "code": "budget_spent",
-                "left_out": list(self.left_out),
-                "budget_s": self.seconds,
-                "message": f"The {self.seconds:g} s of the budget were not enough: this is the best that was found until then. "
+            FindingDocument.make(
+                "budget_spent",
+                f"The {self.seconds:g} s of the budget were not enough: this is the best that was found until then. "
                 f"Left out: {'; '.join(self.left_out)}. Search again with a larger budget_s, with fewer effects, or with "
                 "fewer poses.",
-            },
+                left_out=list(self.left_out),
+                budget_s=self.seconds,
+            ),
         )

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from kilter_core.errors import Finding, Sentences
+from kilter_core.errors import Finding, FindingDocument, Sentences
 from kilter_core.gap.effect_verdicts import FitAssessment, Version
 from kilter_core.gap.evidence.guarded import Guard
 from kilter_core.gap.evidence.held_out.practical_size import moves_mm
@@ -35,7 +35,7 @@ from kilter_core.parameters import degrees, display_unit_and_scale
 
 LARGE_DEG = 2.0  # left between two encoders of a joint: worth a warning
 
-Remark = Finding | dict[str, Any]
+Remark = Finding | FindingDocument
 
 CALLED = {"base_step": "The station (base or instrument)", "tool_step": "The tool, its marker or its nest"}
 SEEN = {
@@ -80,7 +80,7 @@ def _warn_of_large_residual(outcome: Outcome) -> Iterator[Remark]:
         points = source.model.predict(source.batch, source.model_values(problem.values)).position
         yield from large_residual(size, points)
     elif degrees(size) > LARGE_DEG:
-        yield {"code": "large_residual", "message": f"{degrees(size):.2f} deg are left between the encoders."}
+        yield FindingDocument.make("large_residual", f"{degrees(size):.2f} deg are left between the encoders.")
 
 
 def _compare_with_geometry(outcome: Outcome) -> Iterator[Remark]:
@@ -169,7 +169,7 @@ AFTER: tuple[Callable[[Outcome], Iterable[Remark]], ...] = (
 )
 
 
-def outcome_warnings(outcome: Outcome) -> tuple[dict[str, Any], ...]:
+def outcome_warnings(outcome: Outcome) -> tuple[FindingDocument, ...]:
     """Return all warnings as documents: of the time that was left, after the fit, and before it unless named by the search."""
     study, after = outcome.study, tuple(documents(one for check in AFTER for one in check(outcome)))
     return (*study.budget.warnings(), *after, *not_said_by(after, study.remarks))
@@ -251,6 +251,6 @@ SENTENCES: Sentences = {
 }
 
 
-def documents(findings: Iterable[Finding | dict[str, Any]]) -> Iterator[dict[str, Any]]:
+def documents(findings: Iterable[Finding | FindingDocument]) -> Iterator[FindingDocument]:
     """Return findings of a search as they are stored and sent; documents of others as they are."""
     return (one.to_document(SENTENCES) if isinstance(one, Finding) else one for one in findings)

@@ -8,14 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from kilter_core.arm.robot import Robot
 from kilter_core.effects import EFFECTS
 from kilter_core.effects.laws import placed_later
-from kilter_core.errors import ObservationError, OptionError
+from kilter_core.errors import FindingDocument, ObservationError, OptionError
 from kilter_core.gap.evidence.replication import refuse_unfit
 from kilter_core.gap.options import Budget, GapOptions
 from kilter_core.gap.search.candidates import joints_by_effect
@@ -58,7 +57,7 @@ class Study:
     by_views: PlannedViews | None
     progress: Progress
     budget: Budget
-    remarks: tuple[dict[str, Any], ...]
+    remarks: tuple[FindingDocument, ...]
 
     def progress_within(self, low: float, high: float) -> Progress:
         """Return a progress that maps a stage's own fraction into its share of the whole."""
@@ -80,13 +79,13 @@ def refuse_other_confirmation(
         refuse_mixed_up(start, confirmation)
 
 
-def _check_confirmation(study: Study) -> tuple[dict[str, Any], ...]:
+def _check_confirmation(study: Study) -> tuple[FindingDocument, ...]:
     refuse_other_confirmation(study.robot, study.start, (study.rows, study.validation), study.confirmation)
     return ()
 
 
 # Before the fit, in this order: each refuses what cannot be searched, and returns what only looks odd.
-BEFORE: tuple[Callable[[Study], Iterable[dict[str, Any]]], ...] = (
+BEFORE: tuple[Callable[[Study], Iterable[FindingDocument]], ...] = (
     _check_confirmation,
     lambda study: refuse_mixed_up(study.start, study.rows),
     lambda study: clock_warnings(study.rows),

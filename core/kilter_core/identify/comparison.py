@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from fnmatch import fnmatchcase
-from typing import Any
 
 import numpy as np
 
 from kilter_core.arm.robot import Robot
-from kilter_core.errors import CoreError, NotConvergedError, TooFewPosesError
+from kilter_core.errors import CoreError, FindingDocument, NotConvergedError, TooFewPosesError
 from kilter_core.identify.estimate import refit_frames, registration_only
 from kilter_core.identify.methods.fit import fit_by_method
 from kilter_core.identify.options import IdentifyOptions
@@ -95,7 +94,7 @@ class PoseErrors:
     """
 
     stages: Mapping[str, Floats]
-    remarks: tuple[dict[str, Any], ...] = ()
+    remarks: tuple[FindingDocument, ...] = ()
 
     @staticmethod
     def from_calibrations(stages: Mapping[str, Calibration | None], unseen: Measurement) -> PoseErrors:
@@ -110,7 +109,7 @@ class PoseErrors:
         remarks = tuple(one for part in parts for one in part.remarks)
         return PoseErrors({name: np.concatenate([p.stages[name] for p in parts]) for name in names}, remarks)
 
-    def warnings(self) -> Iterator[dict[str, Any]]:
+    def warnings(self) -> Iterator[FindingDocument]:
         """Say what predicts worse than something simpler."""
         yield from self.remarks
         after = self.stages["identified"]
@@ -130,7 +129,7 @@ def mean_mm(errors: Floats) -> float:
     return mm(float(np.mean(errors)))
 
 
-def worse_warning(code: str, words: str, told: Grown, beyond_chance: bool, unit: str = "mm") -> dict[str, Any]:
+def worse_warning(code: str, words: str, told: Grown, beyond_chance: bool, unit: str = "mm") -> FindingDocument:
     """Warn that held-out poses are predicted worse than by something simpler; beyond chance, activation is refused."""
     advice = (
         "do not activate this version. Measure more poses, spread over the joints, or free fewer parameters and effects."
@@ -140,15 +139,9 @@ def worse_warning(code: str, words: str, told: Grown, beyond_chance: bool, unit:
     scale = MM if unit == "mm" else DEG
     before, after = told.before * scale, told.after * scale
     less, more = _format_distinguishably(before, after)
-    return {
-        "code": code,
-        f"simpler_{unit}": before,
-        f"identified_{unit}": after,
-        "quantity": told.quantity,
-        "beyond_chance": beyond_chance,
-        "message": f"Held-out poses are predicted worse ({more} {unit}, {told.quantity}) than with {words} ({less} {unit}): "
-        f"{advice}",
-    }
+    said = f"Held-out poses are predicted worse ({more} {unit}, {told.quantity}) than with {words} ({less} {unit}): {advice}"
+    sizes = {f"simpler_{unit}": before, f"identified_{unit}": after}
+    return FindingDocument.make(code, said, **sizes, quantity=told.quantity, beyond_chance=beyond_chance)
 
 
 def _format_distinguishably(*values: float) -> tuple[str, ...]:
@@ -197,7 +190,7 @@ def _by_pose(calibration: Calibration, unseen: Measurement) -> Floats:
 
 def elsewhere(
     calibration: Calibration, measurement: Measurement, remedy: str = EVALUATE, refit: Sequence[str] = ()
-) -> Iterator[dict[str, Any]]:
+) -> Iterator[FindingDocument]:
     """Warn where rows agree with a calibration in other frames only; say nothing of rows that are too few to tell.
 
     ``refit`` are the frames fitted to the rows already; ``remedy`` may name those to fit as ``{refit}``.
@@ -221,18 +214,18 @@ def elsewhere(
             return
 
 
-def _warning(anew: Sequence[str], there_mm: float, here_mm: float, remedy: str) -> dict[str, Any]:
+def _warning(anew: Sequence[str], there_mm: float, here_mm: float, remedy: str) -> FindingDocument:
     words, one = " and ".join(anew), len(anew) == 1
     numbers = BY_POSE.format(words=words, here=here_mm, there=there_mm, them="it" if one else "them")
     who = "the instrument, or the arm, stood elsewhere" if one else "instrument and tool were set up anew"
     refit = "[" + ", ".join(f'"{name}"' for name in anew) + "]"
-    return {
-        "code": ELSEWHERE,
-        "refit": list(anew),
-        "version_mm": there_mm,
-        "refitted_mm": here_mm,
-        "message": f"{numbers}: {who}. {remedy.format(refit=refit)}",
-    }
+    return FindingDocument.make(
+        ELSEWHERE,
+        f"{numbers}: {who}. {remedy.format(refit=refit)}",
+        refit=list(anew),
+        version_mm=there_mm,
+        refitted_mm=here_mm,
+    )
 
 
 # Whether a calibration predicts unseen poses worse than another, base and tool refitted to them.

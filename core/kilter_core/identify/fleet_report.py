@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from scipy.special import fdtrc
 
+from kilter_core.errors import FindingDocument
 from kilter_core.identify.fit.least_squares import Fit, PriorUse
 from kilter_core.identify.fleet_prior import FleetPrior, said_left_out
 from kilter_core.identify.identifiability import WEAK
@@ -66,17 +67,17 @@ def prior_document(fleet: FleetPrior, fit: Fit) -> dict[str, Any]:
     }
 
 
-def prior_warnings(fleet: FleetPrior, fit: Fit) -> Iterator[dict[str, Any]]:
+def prior_warnings(fleet: FleetPrior, fit: Fit) -> Iterator[FindingDocument]:
     """Say when the arm is not as its type, and which versions are in another gauge."""
     use = fit.prior_use
     if use is not None and use.state != "used":
         code = "fleet_prior_dropped" if use.state == "dropped" else "fleet_prior_widened"
-        yield {"code": code, "message": _sentence(fleet, fit, [])}
+        yield FindingDocument.make(code, _sentence(fleet, fit, []))
     if fleet.left_out:
         message = (
             f"{said_left_out(fleet.left_out)} The prior does without. Identify those robots as this one to count them."
         )
-        yield {"code": "fleet_version_left_out", "message": message}
+        yield FindingDocument.make("fleet_version_left_out", message)
 
 
 def _sentence(fleet: FleetPrior, fit: Fit, names: list[str]) -> str:

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from kilter_core.errors import OptionError, TooFewPosesError
+from kilter_core.errors import FindingDocument, OptionError, TooFewPosesError
 from kilter_core.identify.methods.fit import fit_by_method
 from kilter_core.identify.methods.kalman import Prior
 from kilter_core.identify.options import FRAME_NAMES, IdentifyOptions
@@ -215,7 +215,7 @@ class Learned:
             "p_value": self.p_value,
         }
 
-    def warning(self) -> dict[str, Any]:
+    def warning(self) -> FindingDocument:
         """Say in words what was kept, or why nothing was."""
         names = ", ".join(self.ids)
         if self.kept:
@@ -233,7 +233,7 @@ class Learned:
                 f"{names} was left out: it does not predict poses held out better (p = {self.p_value:.2g}). "
                 "Nothing is left that the joint angles explain; measure more poses, or do without it."
             )
-        return {"code": "learned_kept" if self.kept else "learned_left_out", "message": text}
+        return FindingDocument.make("learned_kept" if self.kept else "learned_left_out", text)
 
 
 def select_learned_effects(

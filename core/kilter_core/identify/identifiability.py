@@ -13,6 +13,7 @@ import numpy as np
 
 from kilter_core.arm.load_slopes import EACH, LIGHTEST_KG, links_with_mass, with_masses
 from kilter_core.effects.masses import LoadError
+from kilter_core.errors import FindingDocument
 from kilter_core.model import Calibration
 from kilter_core.parameters import MM
 from kilter_core.types import Bools, Floats, Ints
@@ -204,18 +205,18 @@ def _stated_load_values(calibration: Calibration, effect: LoadError, errors: Flo
         yield from (Stated(None, f"shift_{axis}", "mm", 0.0, MM, MM) for axis in "xyz")
 
 
-def far_from_stated(rows: Sequence[Mapping[str, Any]]) -> Iterator[dict[str, Any]]:
+def far_from_stated(rows: Sequence[Mapping[str, Any]]) -> Iterator[FindingDocument]:
     """Warn of masses that the data pull far from what was stated: they are wrong, or stand for something else."""
     far = [row for row in rows if abs(row["value"] - row["stated"]) > FAR * row["prior_sigma"]]
     if not far:
         return
     said = "; ".join(_describe_deviation(row) for row in far)
-    yield {
-        "code": "mass_far_from_stated",
-        "masses": [{key: row[key] for key in ("link", "parameter", "unit", "stated", "value")} for row in far],
-        "message": f"{said}: more than {FAR:g} standard deviations of what was stated. {_remedy(far)} If they are right, "
+    yield FindingDocument.make(
+        "mass_far_from_stated",
+        f"{said}: more than {FAR:g} standard deviations of what was stated. {_remedy(far)} If they are right, "
         "another effect of the load is missing.",
-    }
+        masses=[{key: row[key] for key in ("link", "parameter", "unit", "stated", "value")} for row in far],
+    )
 
 
 def _describe_deviation(row: Mapping[str, Any]) -> str:

@@ -16,6 +16,7 @@ import numpy as np
 from scipy.linalg import null_space
 
 from kilter_core.arm.robot import Robot
+from kilter_core.errors import FindingDocument
 from kilter_core.identify.fit.least_squares import Fit
 from kilter_core.identify.fleet_report import resting
 from kilter_core.identify.identifiability import NullDirection, identifiable, own_members
@@ -113,15 +114,15 @@ def null_rows(directions: Sequence[NullDirection], known: Known) -> list[dict[st
     return rows
 
 
-def fit_warnings(fit: Fit, train: Observations, repeats: Repeats) -> Iterator[dict[str, Any]]:
+def fit_warnings(fit: Fit, train: Observations, repeats: Repeats) -> Iterator[FindingDocument]:
     """What a metrologist should know before trusting the result."""
     for j in still_joints(train):
         name = fit.problem.model.robot.joints[j].name
-        yield {
-            "code": "joint_never_moves",
-            "joint": name,
-            "message": f"Joint {name} never moves: nothing about it can be identified. Vary it, or fix its parameters.",
-        }
+        yield FindingDocument.make(
+            "joint_never_moves",
+            f"Joint {name} never moves: nothing about it can be identified. Vary it, or fix its parameters.",
+            joint=name,
+        )
     spread = workspace_uncertainty(fit)
     if spread is not None and spread.too_alike:
         yield spread.warning()
@@ -130,61 +131,61 @@ def fit_warnings(fit: Fit, train: Observations, repeats: Repeats) -> Iterator[di
         yield from large_residual(_rms(fit.residual.points), points)
     bent = None if train.markers is None else bending(train.markers, repeats.shots or repeats.between)
     if bent is not None:
-        yield {
-            "code": "markers_not_rigid",
-            "markers": list(bent[:2]),
-            "message": f"The distance of markers {bent[0]} and {bent[1]} varies by {mm(bent[2]):.2f} mm (standard "
+        yield FindingDocument.make(
+            "markers_not_rigid",
+            f"The distance of markers {bent[0]} and {bent[1]} varies by {mm(bent[2]):.2f} mm (standard "
             "deviation): the set bends, or one of them is loose. Fasten them; until then errors below that mean little.",
-        }
+            markers=list(bent[:2]),
+        )
     yield from _repeat_warnings(repeats)
     loaded = [e.id for e in fit.problem.model.effects if "moments" in e.needs]
     if loaded and not np.any(fit.problem.batch.wrench):
-        yield {
-            "code": "no_load",
-            "message": f"{', '.join(loaded)} need load moments, but neither link masses nor a payload are known: "
+        yield FindingDocument.make(
+            "no_load",
+            f"{', '.join(loaded)} need load moments, but neither link masses nor a payload are known: "
             "give links with mass_kg and com_mm, or payload_kg.",
-        }
+        )
 
 
-def _repeat_warnings(repeats: Repeats) -> Iterator[dict[str, Any]]:
+def _repeat_warnings(repeats: Repeats) -> Iterator[FindingDocument]:
     """What repeats of poses say of the noise, and which of them are copies or wrong."""
     if repeats.between is None:
         only = "No pose was repeated"
         if repeats.shots is not None:
             only = "Poses were only shot several times without motion between, which does not show how the arm comes to rest"
-        yield {
-            "code": "no_repeats",
-            "message": f"{only}, so the noise is that of the fit itself, model errors included. "
+        yield FindingDocument.make(
+            "no_repeats",
+            f"{only}, so the noise is that of the fit itself, model errors included. "
             "Come back to a few poses to know what cannot be predicted.",
-        }
+        )
     if len(repeats.copies):
-        yield {
-            "code": "repeats_identical",
-            "rows": (repeats.copies + 1).tolist(),
-            "message": f"{len(repeats.copies)} rows measured exactly what an earlier row of their pose did; the first is row "
+        yield FindingDocument.make(
+            "repeats_identical",
+            f"{len(repeats.copies)} rows measured exactly what an earlier row of their pose did; the first is row "
             f"{repeats.copies[0] + 1} of the rows fitted. Without scatter they are copies, held readings or simulated, and "
             "say nothing of noise. Upload every row once, or measure the poses again.",
-        }
+            rows=(repeats.copies + 1).tolist(),
+        )
     if len(repeats.wrong):
-        yield {
-            "code": "repeats_differ",
-            "rows": (repeats.wrong + 1).tolist(),
-            "message": f"{len(repeats.wrong)} rows stand too far from the repeats of their pose to be noise; the first is row "
+        yield FindingDocument.make(
+            "repeats_differ",
+            f"{len(repeats.wrong)} rows stand too far from the repeats of their pose to be noise; the first is row "
             f"{repeats.wrong[0] + 1} of the rows fitted. Backlash does that too, and `kilter gap` finds it. Wrong rows: remove "
             "them, or identify with loss tukey, which lets them go.",
-        }
+            rows=(repeats.wrong + 1).tolist(),
+        )
 
 
-def large_residual(rms_m: float, points: Floats) -> Iterator[dict[str, Any]]:
+def large_residual(rms_m: float, points: Floats) -> Iterator[FindingDocument]:
     """Say when much of the error is left, measured against the workspace: what that comes from it does not know."""
     spread = float(np.sqrt(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=1))))
     if rms_m > LARGE * spread:
-        yield {
-            "code": "large_residual",
-            "message": f"{mm(rms_m):.3g} mm are left over a workspace of {mm(spread):.3g} mm. No swapped, reversed or "
+        yield FindingDocument.make(
+            "large_residual",
+            f"{mm(rms_m):.3g} mm are left over a workspace of {mm(spread):.3g} mm. No swapped, reversed or "
             "otherwise read joints, no unit and no change of tool explain that; the nominal geometry, loads or poor "
             "measurements may. Check the robot's description, and look for what is missing with `kilter gap`.",
-        }
+        )
 
 
 def still_joints(observations: Observations) -> list[int]:
@@ -376,17 +377,17 @@ class WorkspaceUncertainty:
         """Whether the poses show too little about others."""
         return self.elsewhere > TOO_ALIKE * self.here
 
-    def warning(self) -> dict[str, Any]:
+    def warning(self) -> FindingDocument:
         """The same in words."""
-        return {
-            "code": "poses_ill_conditioned",
-            "here_mm": mm(self.here),
-            "elsewhere_mm": mm(self.elsewhere),
-            "message": f"The result knows the tool to {mm(self.here):.3g} mm in these poses but only to "
+        return FindingDocument.make(
+            "poses_ill_conditioned",
+            f"The result knows the tool to {mm(self.here):.3g} mm in these poses but only to "
             f"{mm(self.elsewhere):.3g} mm over the joint limits: the poses are too alike ({self.narrow} used "
             f"{self.used:.0%} of its range). Measure poses that spread all joints (`kilter plan --purpose identify`), or "
             "use the result near these poses only.",
-        }
+            here_mm=mm(self.here),
+            elsewhere_mm=mm(self.elsewhere),
+        )
 
 
 def workspace_uncertainty(fit: Fit) -> WorkspaceUncertainty | None:

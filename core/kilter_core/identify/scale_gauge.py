@@ -13,11 +13,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from scipy.special import ndtr
 
+from kilter_core.errors import FindingDocument
 from kilter_core.identify.fit.least_squares import Fit
 from kilter_core.identify.plausibility.unrelated_views import scale_sentence
 from kilter_core.identify.views import Cameras, rig_from_calibration, unknown_rig
@@ -52,7 +52,7 @@ def _lengths_follow(fit: Fit) -> bool:
     return not fixed and not any(joint.kind == "prismatic" for joint in robot.joints)
 
 
-def contradicted_scale(fit: Fit) -> Iterator[dict[str, Any]]:
+def contradicted_scale(fit: Fit) -> Iterator[FindingDocument]:
     """The warning ``board_scale_differs``: boards as large as stated, and lengths as described, cannot both be."""
     rig = rig_from_calibration(fit.calibration())
     if rig is None or not rig.boards or not _lengths_follow(fit):
@@ -65,14 +65,13 @@ def contradicted_scale(fit: Fit) -> Iterator[dict[str, Any]]:
         return
     names = " and ".join(board.name for board in rig.rig.boards)
     size, half = 1e2 * (1.0 / (1.0 + shorter) - 1.0), 1e2 * QUANTILE * sigma
-    yield {
-        "code": "board_scale_differs",
-        "boards": [board.name for board in rig.rig.boards],
-        "larger_percent": size,
-        "u95_percent": half,
-        "message": scale_sentence(names, size, half)
-        + " This version has a robot of another size: do not correct with it.",
-    }
+    yield FindingDocument.make(
+        "board_scale_differs",
+        scale_sentence(names, size, half) + " This version has a robot of another size: do not correct with it.",
+        boards=[board.name for board in rig.rig.boards],
+        larger_percent=size,
+        u95_percent=half,
+    )
 
 
 def _shrunk(fit: Fit, scale: float) -> tuple[float, float]:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from kilter_core.errors import ObservationError
+from kilter_core.errors import FindingDocument, ObservationError
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.run import identify
 from kilter_core.identify.view_report import WRONG_VIEWS
@@ -33,7 +33,7 @@ OF_TRACKER: dict[str, Any] = dict.fromkeys(("markers", "tip"))
 
 def seen_poses(
     begin: Calibration, rows: Observations, *others: Any
-) -> tuple[tuple[Any, ...], PlannedViews | None, tuple[dict[str, Any], ...]]:
+) -> tuple[tuple[Any, ...], PlannedViews | None, tuple[FindingDocument, ...]]:
     """The rows, and others that are rows, with a pose of the tool for every view; as they are where none has pixels only.
 
     Beside a tracker of :data:`FEWEST_OF_TRACKER` poses, or of as many as the views, the tracker's rows tell, and pixels are
@@ -55,7 +55,7 @@ def seen_poses(
         )
     assert rows.rig is not None
     known = begin
-    said: tuple[dict[str, Any], ...] = ()
+    said: tuple[FindingDocument, ...] = ()
     if begin.rig is None or not begin.rig.has(rows.rig):
         result = identify(begin.robot, rows, None, IdentifyOptions(loss="huber", effects=()), begin)
         known, said = result.calibration, tuple(one for one in result.warnings if one["code"] in WRONG_VIEWS)

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from scipy.special import fdtrc, gammaincinv
 
-from kilter_core.errors import CoreError
+from kilter_core.errors import CoreError, FindingDocument
 from kilter_core.identify.fit.least_squares import Fit
 from kilter_core.identify.measured_rows import measurement_for
 from kilter_core.identify.methods.fit import fit_by_method
@@ -163,7 +163,7 @@ class Found:
         return out
 
 
-def camera_moved(found: Found, moved: Moved | None, numbers: Ints) -> dict[str, Any]:
+def camera_moved(found: Found, moved: Moved | None, numbers: Ints) -> FindingDocument:
     """The warning ``camera_moved``; ``numbers (N,)`` are those of the fitted rows among the ones given, from 0."""
     best, part = found.best, found.best.part
     last, row, first, latest = (
@@ -183,18 +183,18 @@ def camera_moved(found: Found, moved: Moved | None, numbers: Ints) -> dict[str, 
     other = [f"{one.part.words[0].lower()}{one.part.words[1:]} did" for one in found.others]
     either = ", or ".join([*other, "the base of the robot did" if part.fixed else "the tool did"])
     what = "camera" if part.camera else "board"
-    return {
-        "code": "camera_moved",
-        "part": what,
-        "name": part.name,
-        "row": row,
-        "rows_95": [first, latest],
-        **sizes,
-        "p_value": best.chance,
-        "message": f"{part.words} moved between rows {last} and {row}{sure}{far}, or {either}: this fit averages the places "
+    return FindingDocument.make(
+        "camera_moved",
+        f"{part.words} moved between rows {last} and {row}{sure}{far}, or {either}: this fit averages the places "
         f"before and after. Give the {what} another name from row {row} on (column `{what}`, and a second entry in "
         f"`{what}s`), and identify again: each place is then fitted by itself.",
-    }
+        part=what,
+        name=part.name,
+        row=row,
+        rows_95=[first, latest],
+        **sizes,
+        p_value=best.chance,
+    )
 
 
 def cameras_document(calibration: Calibration, known: Mapping[str, float]) -> dict[str, Any]:
@@ -375,7 +375,7 @@ BEYOND_SHOWN = 1.25  # as much more left open than held-out views show is worth 
 LACKING = 1.5  # variance between views over that of their corners, beyond which the model lacks something
 
 
-def too_large_to_deploy(said: dict[str, Any], registered_mm: float | None) -> Iterator[dict[str, Any]]:
+def too_large_to_deploy(said: dict[str, Any], registered_mm: float | None) -> Iterator[FindingDocument]:
     """Warn of a fit that ended well and whose tool, on views held out, is too far off to be corrected with."""
     held = (said.get("pixels") or {}).get("validation")
     if held is None:
@@ -390,32 +390,32 @@ def too_large_to_deploy(said: dict[str, Any], registered_mm: float | None) -> It
         else (f"Views scatter {between:.2g} times as much as their corners explain, so the model lacks something")
     )
     reason = "" if registered_mm is None or not little else f", and cameras placed alone leave {registered_mm:.3g} mm"
-    yield {
-        "code": "too_large_to_deploy",
-        "rms_mm": held["rms_mm"],
-        "high_mm": held["high_mm"],
-        "message": f"{state}, but the error is too large to deploy: on views held out the tool is off by "
+    yield FindingDocument.make(
+        "too_large_to_deploy",
+        f"{state}, but the error is too large to deploy: on views held out the tool is off by "
         f"{held['rms_mm']:.3g} mm (95 %: up to {held['high_mm']:.3g} mm){reason}. Take more and sharper views that fill the "
         "picture, add points of a tracker, or look for what is missing with `kilter gap`.",
-    }
+        rms_mm=held["rms_mm"],
+        high_mm=held["high_mm"],
+    )
 
 
 def tell_less(
     said: Mapping[str, Any], held_mm: float | None, seen: str = "By views held out"
-) -> Iterator[dict[str, Any]]:
+) -> Iterator[FindingDocument]:
     """Warn where a fit to views leaves more open than views show, ``held_mm`` rms, which were ``seen`` apart from it."""
     left = (said.get("pixels") or {}).get("left_open")
     if left is None or held_mm is None or left["rms_mm"] <= BEYOND_SHOWN * held_mm:
         return
-    yield {
-        "code": "views_tell_less",
-        "rms_mm": left["rms_mm"],
-        "high_mm": left["high_mm"],
-        "message": f"{seen} the tool is off by {held_mm:.3g} mm rms, but the views that were fitted leave more open: "
+    yield FindingDocument.make(
+        "views_tell_less",
+        f"{seen} the tool is off by {held_mm:.3g} mm rms, but the views that were fitted leave more open: "
         f"{left['rms_mm']:.3g} mm rms, up to {left['high_mm']:.3g} mm (95 %), most of it along the lines of sight and in how "
         "large everything is. Take views from nearer, or of a larger board, or measure a length: two points of known distance, "
         "sockets, a few points of a tracker.",
-    }
+        rms_mm=left["rms_mm"],
+        high_mm=left["high_mm"],
+    )
 
 
 def held_views(identified: Calibration, held: Observations, train: Measurement) -> ToolErrors | None:
@@ -426,7 +426,7 @@ def held_views(identified: Calibration, held: Observations, train: Measurement) 
 
 def wrong_views(
     fit: Fit, begin: Calibration, options: IdentifyOptions, inside: Ints | None
-) -> Iterator[dict[str, Any]]:
+) -> Iterator[FindingDocument]:
     """Warnings of a fit to views alone: rows that are not of their joints, what moved half-way, a board of another size.
 
     ``inside (N,)`` are the numbers of the fitted rows among the ones given; all when None.

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from kilter_core.arm.kernels import columns as kernel
+from kilter_core.arm.kernels import kinematics as kernel
 from kilter_core.arm.load_slopes import LoadSlopes
 from kilter_core.effects import BASE, TOOL, Batch, Derivative, Effect, Local
 from kilter_core.model.placed_rig import PlacedRig
@@ -38,6 +38,19 @@ class ToolColumns:
             slot = self._slot(d.joint)
             frame = self.frames[slot] if slot < len(self.frames) else UNTURNED
             kernel.put_twist(out, column, self.JX, slot, frame, np.ascontiguousarray(d.xi, dtype=np.float64))
+
+    def put_effects(self, out: Floats, total: Total, places: Mapping[int, int], position: Floats) -> None:
+        """Add the local derivatives of effects to the columns ``places`` of ``out (N, 6, K)``, by their parameters."""
+        for start, local in total.parts:
+            for d in local.derivatives:
+                column = places.get(start + d.parameter)
+                if column is None:
+                    continue
+                self.put(out, column, d)
+                if d.scale is not None:
+                    assert total.stretch is not None
+                    # The stretch that multiplies all columns afterwards must not multiply its own derivative.
+                    out[:, :3, column] += position / total.stretch * d.scale[:, None]
 
     def _slot(self, joint: int) -> int:
         n = len(self.frames)

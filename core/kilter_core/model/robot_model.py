@@ -264,7 +264,7 @@ class RobotModel:
         position, rotation = np.empty((len(batch), 3)), np.empty((len(batch), 3, 3))
         kinematics.poses(*self._chain_arguments(batch, values, total), position, rotation)
         position = position if total.stretch is None else position * total.stretch
-        return Prediction(position, rotation, total, self._slides, find_instrument(self.effects_with_slices, values))
+        return Prediction(position, rotation, total, self._slides, find_instrument(self._cameras, values))
 
     def jacobian(
         self,
@@ -283,8 +283,11 @@ class RobotModel:
         free = np.arange(len(self.names)) if free is None else free
         total, here = self._local(batch, values, free)
         prediction, J, columns = self._screws(batch, values, total, free, TOOL_ROWS if turns or joints else 3)
-        self._put_effects(J, total, free, columns, prediction.position)
-        self._put_loads(J, here, values, free, columns)
+        place = {int(k): c for c, k in enumerate(free) if k >= self.n_geometric}
+        columns.put_effects(J, total, place, prediction.position)
+        errors = [(place[k], error) for k, error in self._reader.load_errors(here, place)]
+        if errors and here.slopes is not None:
+            columns.put_loads(J, self._reader.slopes(here, values), here.slopes, errors)
         if total.stretch is not None:
             J[:, :3] *= total.stretch[:, :, None]
             prediction = replace(prediction, position=prediction.position * total.stretch)
@@ -419,32 +422,14 @@ class RobotModel:
         J, JQ = np.zeros((rows, each, len(free))), np.empty((rows, each, n))
         JX = np.empty((rows if len(total.xi) else 0, each, 6 * n + 12))
         kinematics.screws(*self._chain_arguments(batch, values, total), column, position, rotation, J, JQ, JX)
-        made = Prediction(
-            position, rotation, total, self._slides, find_instrument(self.effects_with_slices, values, free)
-        )
+        made = Prediction(position, rotation, total, self._slides, find_instrument(self._cameras, values, free))
         return made, J, ToolColumns(self.robot.chain.program.joint_frame, JQ, JX)
+
+    @cached_property
+    def _cameras(self) -> tuple[tuple[Effect, slice], ...]:
+        """The effects whose parameters are unknowns of cameras and boards, and where these are."""
+        return tuple((effect, at) for effect, at in self.effects_with_slices if effect.instrument is not None)
 
     @cached_property
     def _slides(self) -> Bools:
         return np.array([joint.kind == "prismatic" for joint in self.robot.joints])
-
-    def _put_effects(self, J: Floats, total: Total, free: Ints, columns: ToolColumns, position: Floats) -> None:
-        """Chain rule: tool columns of the free effect parameters from the local derivatives."""
-        place = {int(k): c for c, k in enumerate(free) if k >= self.n_geometric}
-        for start, local in total.parts:
-            for d in local.derivatives:
-                c = place.get(start + d.parameter)
-                if c is None:
-                    continue
-                columns.put(J, c, d)
-                if d.scale is not None:
-                    assert total.stretch is not None
-                    # The stretch that multiplies all columns afterwards must not multiply its own derivative.
-                    J[:, :3, c] += position / total.stretch * d.scale[:, None]
-
-    def _put_loads(self, J: Floats, batch: Batch, values: Floats, free: Ints, columns: ToolColumns) -> None:
-        """Chain rule for the load errors: they change the loads that the other effects read."""
-        place = {int(k): c for c, k in enumerate(free) if k >= self.n_geometric}
-        errors = [(place[k], error) for k, error in self._reader.load_errors(batch, place)]
-        if errors and batch.slopes is not None:
-            columns.put_loads(J, self._reader.slopes(batch, values), batch.slopes, errors)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
+from kilter_core.errors import FindingDocument
 from kilter_core.types import Bools, Floats, Ints
 
 SINCE_1970_S = 1e8  # no campaign lasts three years: such a time is of the clock that all computers share
@@ -77,18 +78,18 @@ def read_clock(rows: Timed) -> Clock:
     return Clock(np.lexsort((rows.t, session)).astype(np.int64), True, backwards)
 
 
-def clock_warnings(rows: Timed) -> Iterator[dict[str, Any]]:
+def clock_warnings(rows: Timed) -> Iterator[FindingDocument]:
     """Say where the clock of the rows runs backwards, and what was done instead."""
     clock = read_clock(rows)
     if clock.fell is None:
         return
     done = "times are counted backwards" if clock.trusted else "the order of the rows replaces the time"
-    yield {
-        "code": "clock_backwards",
-        "row": clock.fell,
-        "message": f"The clock runs backwards at row {clock.fell + 1}: {done}. Give every restart of the clock a session of "
+    yield FindingDocument.make(
+        "clock_backwards",
+        f"The clock runs backwards at row {clock.fell + 1}: {done}. Give every restart of the clock a session of "
         "its own, or upload the rows with one clock.",
-    }
+        row=clock.fell,
+    )
 
 
 def came_back(rows: Timed, clock: Clock, condition: Ints) -> Bools:

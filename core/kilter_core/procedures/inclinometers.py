@@ -15,7 +15,7 @@ import numpy as np
 
 from kilter_core.arm.robot import Robot
 from kilter_core.effects import make_effect
-from kilter_core.errors import ObservationError
+from kilter_core.errors import FindingDocument, ObservationError
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
 from kilter_core.parameters import degrees
@@ -127,12 +127,12 @@ def joint_parameters(robot: Robot, log: Log) -> tuple[list[JointParameter], list
                 warnings.append(swapped)
                 continue
             warnings.append(
-                {
-                    "code": "readings_scatter",
-                    "joint": robot.joints[j].name,
-                    "message": f"Readings of joint {robot.joints[j].name} scatter by {degrees(scatter):.4f} deg: look for a "
+                FindingDocument.make(
+                    "readings_scatter",
+                    f"Readings of joint {robot.joints[j].name} scatter by {degrees(scatter):.4f} deg: look for a "
                     "wrong axis, a changed mounting without a new series, or masses that are not the robot's.",
-                }
+                    joint=robot.joints[j].name,
+                )
             )
     return found, warnings
 
@@ -185,13 +185,13 @@ def _other_axis(robot: Robot, j: int, log: Log, every: Floats, mine: Bools, scat
         return None
     name, (declared, other, sign) = robot.joints[j].name, found
     true = f"{'-' if sign < 0 else ''}{AXES[other]}"
-    return {
-        "code": "inclinometer_axis",
-        "joint": name,
-        "message": f"Readings of joint {name} given about {AXES[declared]} fit axis {true} of its frame: they scatter by "
+    return FindingDocument.make(
+        "inclinometer_axis",
+        f"Readings of joint {name} given about {AXES[declared]} fit axis {true} of its frame: they scatter by "
         f"{degrees(scatter):.4f} deg as given and by {degrees(best):.4f} deg so. Remount the inclinometer, or "
         "correct the axis (for a minus the sign of the readings), and send them again.",
-    }
+        joint=name,
+    )
 
 
 def _negative(robot: Robot, parameters: list[JointParameter]) -> list[dict[str, str]]:
@@ -201,13 +201,13 @@ def _negative(robot: Robot, parameters: list[JointParameter]) -> list[dict[str, 
         return []
     joint, names = robot.joints[below[0].joint].name, ", ".join(p.name for p in below)
     return [
-        {
-            "code": "inclinometer_axis",
-            "joint": joint,
-            "message": f"{names} of joint {joint} would be negative, against the load: the inclinometer is the wrong way "
+        FindingDocument.make(
+            "inclinometer_axis",
+            f"{names} of joint {joint} would be negative, against the load: the inclinometer is the wrong way "
             "round (readings before the joint minus after it), or the masses are not the robot's. Reverse the sign of the "
             "readings.",
-        }
+            joint=joint,
+        )
     ]
 
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from kilter_core.errors import CoreError, ObservationError
+from kilter_core.errors import CoreError, FindingDocument, ObservationError
 from kilter_files.ground.later import np, pa
 from kilter_service.ground.core import core_identify, core_model, core_observations
 from kilter_service.ground.tables.assemble import observations
@@ -27,7 +27,7 @@ class Judged:
     """What rows would be refused for, None where nothing looks mixed up, and what only looks odd in them."""
 
     refusal: ObservationError | None = None
-    warnings: tuple[dict[str, Any], ...] = ()
+    warnings: tuple[FindingDocument, ...] = ()
 
     @property
     def explains_limits(self) -> bool:
@@ -82,7 +82,7 @@ def check_rows_match_robot(robot: Robot, rows: Observations) -> Judged:
     Sessions are judged one by one: the instrument or the tool may have moved between them, and a job says how it takes that.
     """
     begin = core_model.Calibration.nominal(robot)
-    warnings: list[dict[str, Any]] = []
+    warnings: list[FindingDocument] = []
     for part in core_identify.setups(rows):
         code = None if part.session is None else part.session[0]
         index = np.arange(len(rows)) if code is None else np.flatnonzero(rows.session == code)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kilter_core.errors import ObservationError
+from kilter_core.errors import FindingDocument, ObservationError
 from kilter_core.types import Floats
 from kilter_service.campaigns.belonging import Belonging
 from kilter_service.campaigns.view_rules import ViewRules
@@ -91,7 +91,7 @@ class RowRules:
         self._belonging.add_rows(table)
         self.rows += table.num_rows
 
-    def finish(self) -> tuple[dict[str, Any], ...]:
+    def finish(self) -> tuple[FindingDocument, ...]:
         """Check what only the whole upload shows: whether the rows belong to the robot, readings outside the limits, and
         whether the arm could reach that far; return warnings about what only looks odd.
 
@@ -332,7 +332,7 @@ class JointLimits:
         """Look at the next readings of a joint; ``first`` is the number of the first row."""
         self._found.setdefault(column.name, _Outside(column, joint)).add_readings(first, cells)
 
-    def finish(self) -> tuple[dict[str, Any], ...]:
+    def finish(self) -> tuple[FindingDocument, ...]:
         """Return a warning about readings a little outside the limits; refuse others.
 
         Raises:
@@ -347,7 +347,7 @@ class JointLimits:
         if all(one.is_doubtful for one in found):
             what = f"Readings are a little outside the limits of their joints: {listed}. "
             what += "They count. Correct the limits of the robot, or leave these rows out."
-            return ({"code": BEYOND_LIMITS, "message": what, "rows": rows},)
+            return (FindingDocument.make(BEYOND_LIMITS, what, rows=rows),)
         first = min(found, key=lambda one: one.rows[0])
         count = sum(one.count for one in found)
         remedy = "correct the row or the robot" if count == 1 else "correct the rows or the robot"
@@ -364,7 +364,7 @@ class JointLimits:
         raise ObservationError(what, row=rows[0], column=first.column.name, rows=rows)
 
 
-def payload_warning(robot: Robot, payload_kg: float, where: str) -> dict[str, Any] | None:
+def payload_warning(robot: Robot, payload_kg: float, where: str) -> FindingDocument | None:
     """Return the warning about a payload, None where an arm of this size may carry it."""
     most, why = heaviest_likely_payload(robot)
     if not payload_kg > most:
@@ -373,7 +373,7 @@ def payload_warning(robot: Robot, payload_kg: float, where: str) -> dict[str, An
         f"{where} is {payload_kg:.6g} kg, but {why}. Is it in grams? Then divide it by 1000 ({payload_kg / 1e3:.4g} kg) "
         'or write unit = "g" in the column map, and upload the rows as a new campaign.'
     )
-    return {"code": UNLIKELY, "message": what}
+    return FindingDocument.make(UNLIKELY, what)
 
 
 class PayloadSize:
@@ -387,7 +387,7 @@ class PayloadSize:
         """Remember the largest payload of the next rows."""
         self._largest = max(self._largest, (float(np.nanmax(cells, initial=0.0)) * column.factor, column.name))
 
-    def warnings(self) -> tuple[dict[str, Any], ...]:
+    def warnings(self) -> tuple[FindingDocument, ...]:
         """Return the warning about the largest payload, if there is one."""
         found = payload_warning(self._robot, self._largest[0], f"The payload (column {self._largest[1]!r})")
         return () if found is None else (found,)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import TypeAdapter
 
-from kilter_core.errors import ObservationError
+from kilter_core.errors import FindingDocument, ObservationError
 from kilter_core.observations import SINCE_1970_S
 from kilter_files.ground.later import pc
 from kilter_service.campaigns import store
@@ -50,7 +50,7 @@ if TYPE_CHECKING:
 
 STAGED_FOR = timedelta(days=7)
 AHEAD = timedelta(hours=1)  # by which the clock of whoever measured may be fast
-Checked = tuple[list[Chunk], tuple[dict[str, Any], ...]]
+Checked = tuple[list[Chunk], tuple[FindingDocument, ...]]
 CAMPAIGN, UPLOADED = TypeAdapter(Campaign), TypeAdapter(Uploaded)
 WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")  # all six may be readings of a force sensor
 MEASURED = ("x", "marker_x", "link", "pixel_u", "tau", *TILTS, *CONTACTS)
@@ -309,7 +309,7 @@ def _refuse_mixed_up(database: Database, campaign_id: str, parts: Parts) -> None
         raise refusal
 
 
-def _remarks(warnings: Sequence[dict[str, Any]]) -> list[Remark]:
+def _remarks(warnings: Sequence[FindingDocument]) -> list[Remark]:
     return [Remark(**one) for one in warnings]
 
 

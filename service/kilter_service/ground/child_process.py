@@ -28,6 +28,14 @@ log = logging.getLogger("kilter.processes")
 STEADY_S = 30.0  # what ran for so long is started again at once
 
 
+def stop_event() -> threading.Event:
+    """Return an event that SIGTERM and Ctrl-C set from now on, instead of ending the process."""
+    stop = threading.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: stop.set())
+    return stop
+
+
 class Child(ABC):
     """A process from :meth:`start` to :meth:`wait`; :meth:`watch` is called again and again in between.
 

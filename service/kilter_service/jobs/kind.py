@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime
 from typing import TYPE_CHECKING, Any, Literal
 
-from kilter_core.errors import CoreError, ObservationError
+from kilter_core.errors import CoreError, FindingDocument, ObservationError
 from kilter_service.contract.jobs.kind import JobContract
 from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.ground.settings import Queue
@@ -209,7 +209,7 @@ class JobOutput:
     result: dict[str, Any]
     version: VersionContent | None = None
 
-    def with_warnings(self, *remarks: dict[str, Any]) -> JobOutput:
+    def with_warnings(self, *remarks: FindingDocument) -> JobOutput:
         """The same with more warnings in result and version; what has warnings of a code already gets none of that code."""
         if not remarks:
             return self
@@ -220,7 +220,7 @@ class JobOutput:
         )
 
 
-def _add_warnings(document: dict[str, Any], remarks: Sequence[dict[str, Any]]) -> dict[str, Any]:
+def _add_warnings(document: dict[str, Any], remarks: Sequence[FindingDocument]) -> dict[str, Any]:
     said = document.get("warnings") or []
     known = {one.get("code") for one in said}
     new = [one for one in remarks if one["code"] not in known]

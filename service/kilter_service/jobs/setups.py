@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kilter_core.errors import Finding, Sentences
+from kilter_core.errors import Finding, FindingDocument, Sentences
 from kilter_files.ground import NAMED_SESSIONS
 from kilter_service.campaigns.keeping import REMEDY, counted_as_nothing
 from kilter_service.contract.jobs.registry import KINDS
@@ -102,19 +102,19 @@ class Setups:
             out.append({"campaign": campaign, "session": session, **told})
         return out
 
-    def warnings(self, report: Mapping[str, Any]) -> list[dict[str, Any]]:
+    def warnings(self, report: Mapping[str, Any]) -> list[FindingDocument]:
         """Say which bases and tools were fitted to rows of their own."""
         return [self._warning(which, report[f"{which}_refitted"]) for which in FRAMES if report[f"{which}_refitted"]]
 
-    def _warning(self, which: str, refitted: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    def _warning(self, which: str, refitted: Sequence[dict[str, Any]]) -> FindingDocument:
         said = ", ".join(_describe_frame(frame) for frame in refitted)
         why = "as asked" if self.own else "the frame of a pencil's sheet or a ball bar is new every time"
-        return {
-            "code": f"{which}_refitted",
-            "campaigns": [frame["campaign"] for frame in refitted if frame["campaign"] is not None],
-            "message": f"The {which} was refitted to {said}: {why}. Errors there say nothing about where the {which} was; "
+        return FindingDocument.make(
+            f"{which}_refitted",
+            f"The {which} was refitted to {said}: {why}. Errors there say nothing about where the {which} was; "
             f'with "refit": [] all rows share one {which}.',
-        }
+            campaigns=[frame["campaign"] for frame in refitted if frame["campaign"] is not None],
+        )
 
 
 def _describe_frame(frame: dict[str, Any]) -> str:
@@ -160,19 +160,19 @@ def counted_noise(job: JobInput, known: Predictive) -> float | None:
     return _of_another(job, known) if stated is None else stated
 
 
-def remark(job: JobInput, known: Predictive) -> dict[str, Any] | None:
+def remark(job: JobInput, known: Predictive) -> FindingDocument | None:
     """Say that the rows count as an instrument makes them that the fit does not name; None where they do not."""
     own = _of_another(job, known) if job.options.noise_mm is None else None
     if own is None:
         return None
     ((campaign, _),) = job.campaigns.items()
-    return {
-        "code": "another_instrument",
-        "message": f"{job.names.get(campaign, campaign)} was measured with {job.instruments[campaign].name}, which the version "
+    return FindingDocument.make(
+        "another_instrument",
+        f"{job.names.get(campaign, campaign)} was measured with {job.instruments[campaign].name}, which the version "
         f"was not fitted to. What that may be wrong by counts as the noise of a coordinate, {to_mm(own):.3g} mm, and not the "
         f"{to_mm(known.noise):.3g} mm of the fit: smaller changes are not seen. Where it is better known, state noise_mm.",
-        "campaigns": [campaign],
-    }
+        campaigns=[campaign],
+    )
 
 
 def _of_another(job: JobInput, known: Predictive) -> float | None:

@@ -19,7 +19,7 @@ from kilter_service.page.figures.plot import Axis, Plot
 from kilter_service.page.shared.standing import corrector
 from kilter_service.robots import service as robots
 from kilter_service.stream import bridges as known_bridges
-from kilter_service.stream.live import service as live
+from kilter_service.stream.live import followers as live
 from kilter_service.stream.live.followers import get_viewers
 from kilter_service.stream.live.heard import WHY, Second
 from kilter_service.stream.live.session import read_corrector_place

@@ -48,11 +48,11 @@ from kilter_service.web import problems
 from kilter_service.web.audit import Refusals
 from kilter_service.web.auth.token import admin_token
 from kilter_service.web.bodies import rooms_by_kind
-from kilter_service.web.docs_page import openapi_with_security, serve_openapi
-from kilter_service.web.docs_page import router as docs_page
 from kilter_service.web.gate import Gate, Rates, Unhurried
 from kilter_service.web.request_log import Observed
+from kilter_service.web.routes import docs_router as docs_page
 from kilter_service.web.routes import health_router as health
+from kilter_service.web.routes import openapi_with_security, serve_openapi
 from kilter_service.web.routes import router as audit
 from kilter_service.web.routes import token_router as tokens
 

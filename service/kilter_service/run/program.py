@@ -18,8 +18,8 @@ from pydantic import ValidationError
 from kilter_files.ground.later import later
 from kilter_service.ground.private_files import UMASK, protect
 from kilter_service.ground.settings import DATABASE_FILE, JOBS_FILE, Settings, code_version
-from kilter_service.run import zenoh_command
-from kilter_service.stream.signing import command
+from kilter_service.run import zenoh_folders
+from kilter_service.stream.signing import masters
 from kilter_service.web import logs
 
 # A command loads what it runs, and nothing else.
@@ -173,12 +173,12 @@ def compile_kernels(_: Settings, __: argparse.Namespace) -> None:
 
 def stream_keys(settings: Settings, arguments: argparse.Namespace) -> None:
     """Show or rotate the secret from which the keys of the stream are derived."""
-    command.run(settings, arguments)
+    masters.show_or_rotate(settings, arguments)
 
 
 def zenoh_config(settings: Settings, arguments: argparse.Namespace) -> None:
     """Write zenoh configurations with TLS and access control, one folder per role, or rotate their certificates."""
-    zenoh_command.run(settings, arguments)
+    zenoh_folders.write_role_folders(settings, arguments)
 
 
 COMMANDS: dict[str, tuple[Command, str]] = {
@@ -188,8 +188,8 @@ COMMANDS: dict[str, tuple[Command, str]] = {
     "corrector": (corrector, "KILTER_ZENOH_LISTEN=tcp/127.0.0.1:7447 kilterd corrector"),
     "ros2": (ros2, "KILTER_ROS2='{...}' kilterd ros2"),
     "audit": (audit, "kilterd audit --data /backup/kilter"),
-    "zenoh-config": (zenoh_config, zenoh_command.EXAMPLE),
-    "stream-keys": (stream_keys, command.EXAMPLE),
+    "zenoh-config": (zenoh_config, zenoh_folders.EXAMPLE),
+    "stream-keys": (stream_keys, masters.EXAMPLE),
     "migrate": (migrate, "KILTER_DATABASE_URL=postgresql://kilter@db/kilter kilterd migrate"),
     "upgrade": (upgrade, "kilterd upgrade --check"),
     "backup": (backup, "kilterd backup /backups --keep 14"),
@@ -248,9 +248,9 @@ def parser() -> argparse.ArgumentParser:
         if name == "api":
             added.add_argument("--fd", type=int, help=argparse.SUPPRESS)
         if name == "stream-keys":
-            command.add_options(added)
+            masters.add_options(added)
         if name == "zenoh-config":
-            zenoh_command.add_options(added)
+            zenoh_folders.add_options(added)
     return root
 
 

@@ -21,7 +21,7 @@ from typing import IO, Any
 
 from kilter_files.ground.later import later
 from kilter_service.ground.backup_folder import migration_lock
-from kilter_service.ground.child_process import Child, ChildOutput
+from kilter_service.ground.child_process import Child, ChildOutput, stop_event
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.private_files import ServerFile, private_folder
 from kilter_service.ground.settings import LOCK_FILE, Settings
@@ -155,9 +155,7 @@ def serve(settings: Settings) -> None:
     check_binding(settings)
     check_listening(settings)
     admin_token(settings)
-    stop = threading.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: stop.set())
+    stop = stop_event()
     with _alone(settings.data), listener(settings) as opened, ServerFile(settings.server_file) as file:
         went_on = goes_on_alone(settings.corrector_file)
         if not went_on:

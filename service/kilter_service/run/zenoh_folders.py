@@ -8,23 +8,31 @@ whoever trusts only the old authority accepts new certificates as well: nothing 
 
 from __future__ import annotations
 
+import argparse
 import base64
 import datetime
 import ipaddress
 import json
 import os
+import re
+import socket
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cryptography import x509
-from cryptography.hazmat.primitives import hashes, serialization
-from cryptography.hazmat.primitives.asymmetric import ec
-from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
-
+from kilter_files.ground.later import later
 from kilter_service.ground.errors import ServiceError
-from kilter_service.stream.corrector import endpoints
+from kilter_service.ground.settings import Settings
+
+with later(__name__):
+    from cryptography import x509
+    from cryptography.hazmat.primitives import hashes, serialization
+    from cryptography.hazmat.primitives.asymmetric import ec
+    from cryptography.x509 import oid
+
+    from kilter_service.stream.corrector import endpoints
+
 
 CORRECTOR, OBSERVER, ROS = "kilter-corrector", "kilter-observer", "kilter-ros"
 # What each role may do on which keys, as zenoh's access control at the corrector; what is not allowed is denied.
@@ -289,7 +297,7 @@ def new_authority(before: Authority | None = None) -> Authority:
 def issue(authority: Authority, common_name: str, hosts: tuple[str, ...] = ()) -> Issued:
     """A certificate for a role; ``hosts`` are names and addresses of a machine that listens."""
     key = ec.generate_private_key(ec.SECP256R1())
-    usages = [ExtendedKeyUsageOID.CLIENT_AUTH, *([ExtendedKeyUsageOID.SERVER_AUTH] if hosts else [])]
+    usages = [oid.ExtendedKeyUsageOID.CLIENT_AUTH, *([oid.ExtendedKeyUsageOID.SERVER_AUTH] if hosts else [])]
     builder = _builder(_name(common_name), key, authority.certificate.subject, CERTIFICATE_DAYS)
     builder = builder.add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
     builder = builder.add_extension(x509.ExtendedKeyUsage(usages), critical=False)
@@ -313,7 +321,7 @@ def key_pem(key: ec.EllipticCurvePrivateKey) -> bytes:
 
 
 def _name(text: str) -> x509.Name:
-    return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, text)])
+    return x509.Name([x509.NameAttribute(oid.NameOID.COMMON_NAME, text)])
 
 
 def _general(host: str) -> x509.GeneralName:
@@ -349,3 +357,92 @@ def _sign_authority(
         decipher_only=False,
     )
     return builder.add_extension(usage, critical=True).sign(signs, hashes.SHA256())
+
+
+EXAMPLE = "kilterd zenoh-config --out /etc/kilter/zenoh --host cell7.lab --controller left=arm1,arm2"
+RECORD = "roles.json"
+
+
+def add_options(command: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    command.add_argument("--out", type=Path, help="folder to write (default: zenoh in the data folder)")
+    command.add_argument(
+        "--host",
+        dest="hosts",
+        metavar="HOST",
+        action="append",
+        default=[],
+        help="name or address of the corrector's machine",
+    )
+    command.add_argument("--listen-port", type=int, default=7447, help="port of the corrector (default 7447)")
+    command.add_argument(
+        "--controller",
+        action="append",
+        default=[],
+        metavar="NAME[=ROBOT,...]",
+        help="a controller, and its robots only",
+    )
+    command.add_argument("--rotate", action="store_true", help="make a new authority and new certificates")
+    command.add_argument("--certificate", type=Path, help="certificate of the corrector from elsewhere, with its chain")
+    command.add_argument("--key", type=Path, help="its private key")
+    command.add_argument("--authorities", type=Path, help="certificates of the authorities that signed it")
+
+
+def write_role_folders(settings: Settings, given: argparse.Namespace) -> None:
+    """Write zenoh configurations with TLS and access control, one folder per role, or rotate their certificates."""
+    folder: Path = given.out or settings.data / "zenoh"
+    roles = _roles(folder, given)
+    authority, trusted = load_or_make_authority(folder, given.rotate)
+    if given.authorities:
+        trusted += given.authorities.read_bytes()
+    written = write_folders(
+        folder,
+        settings.site,
+        tuple(roles["hosts"]),
+        roles["port"],
+        {name: tuple(robots) for name, robots in roles["controllers"].items()},
+        settings.ros2_domain,
+        authority,
+        trusted,
+        _issued_from_arguments(given),
+    )
+    (folder / RECORD).write_text(json.dumps(roles, indent=1), encoding="utf-8")
+    print(f"Copy each folder to its machine, and nothing of {folder / 'authority'}:")
+    for place in written:
+        print(f"  {place}")
+    print(
+        f"Then start the corrector with KILTER_ZENOH_CONFIG={folder / 'corrector' / 'zenoh.json5'} "
+        f"KILTER_ZENOH_LISTEN=tls/0.0.0.0:{roles['port']}"
+    )
+
+
+def _roles(folder: Path, given: argparse.Namespace) -> dict[str, Any]:
+    """What the options say, else what was written last time."""
+    if given.hosts or given.controller or not (folder / RECORD).exists():
+        controllers = dict(map(_parse_controller, given.controller or ["main"]))
+        hosts = given.hosts or [socket.gethostname(), "localhost", "127.0.0.1"]
+        return {"hosts": hosts, "port": given.listen_port, "controllers": controllers}
+    roles: dict[str, Any] = json.loads((folder / RECORD).read_text(encoding="utf-8"))
+    return roles
+
+
+def _parse_controller(text: str) -> tuple[str, list[str]]:
+    name, _, robots = text.partition("=")
+    names = [name, *(robots.split(",") if robots else [])]
+    for one in names:
+        if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}", one):
+            raise ServiceError(
+                f"--controller {text}: {one!r} is not a name; use 1 to 64 letters, digits, '_', '-' or '.', as in "
+                "left=arm1,arm2.",
+                code="option_invalid",
+            )
+    return name, names[1:] or ["*"]
+
+
+def _issued_from_arguments(given: argparse.Namespace) -> Issued | None:
+    files = (given.certificate, given.key, given.authorities)
+    if not any(files):
+        return None
+    if not all(files):
+        raise ServiceError("--certificate, --key and --authorities go together.", code="option_invalid")
+    return Issued(given.certificate.read_bytes(), given.key.read_bytes())

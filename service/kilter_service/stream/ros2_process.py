@@ -9,7 +9,6 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
-import signal
 import struct
 import threading
 import time
@@ -17,7 +16,6 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from types import FrameType
 from typing import NamedTuple
 
 import numpy as np
@@ -26,6 +24,7 @@ import zenoh
 from kilter_core.correct import side_by_side, walk_from_rest, warm_up
 from kilter_core.errors import ObservationError
 from kilter_core.types import Floats
+from kilter_service.ground.child_process import stop_event
 from kilter_service.ground.db.failures import Failing
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.settings import Settings
@@ -459,13 +458,7 @@ def run(settings: Settings) -> None:
             "No topics are set: give KILTER_ROS2, as docs/how-to/use-ros2.md shows.", code="option_invalid"
         )
     check_ros2(settings)
-    ended = threading.Event()
-
-    def stop(_signal: int, _frame: FrameType | None) -> None:
-        ended.set()
-
-    signal.signal(signal.SIGTERM, stop)
-    signal.signal(signal.SIGINT, stop)
+    ended = stop_event()
     source = DatabaseSource(settings.database, settings.temperature_c, settings.data)
     try:
         follow(settings, source, ended.wait)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kilter_core.errors import CoreError
+from kilter_core.errors import CoreError, FindingDocument
 from kilter_core.observations import evenly
 from kilter_service.contract.versions import CorrectionLimits, Objection, VersionPreview
 from kilter_service.ground.core import core_correct, core_identify
@@ -41,7 +41,7 @@ class Ability:
     """What was found: objections, remarks, and the preview in figures; None where it could not be computed."""
 
     objections: list[Objection] = field(default_factory=list)
-    remarks: list[dict[str, Any]] = field(default_factory=list)
+    remarks: list[FindingDocument] = field(default_factory=list)
     preview: VersionPreview | None = None
 
 
@@ -57,7 +57,7 @@ def ability(database: Database, version_id: str, temperature_c: float | None) ->
     except (CoreError, ArithmeticError, ValueError) as error:
         message = error.message if isinstance(error, CoreError) else "the correction of some pose is not a number."
         return Ability(
-            remarks=[{"code": UNKNOWN, "message": f"What it would correct could not be computed: {message}"}]
+            remarks=[FindingDocument.make(UNKNOWN, f"What it would correct could not be computed: {message}")]
         )
     return Ability([] if objection is None else [objection], [], shown)
 

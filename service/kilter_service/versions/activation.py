@@ -6,6 +6,7 @@ from dataclasses import replace
 from datetime import timedelta
 from typing import Any
 
+from kilter_core.errors import FindingDocument
 from kilter_service.contract.versions import ActivatedVersion, ActivationWish, VersionSummary
 from kilter_service.ground import correction_limits
 from kilter_service.ground.core import core_correct
@@ -87,7 +88,7 @@ def _with_controller(database: Database, verdict: Verdict, version_id: str) -> V
     unknown = compensation.remark(robot.name, robot.controller_compensation)
     if speaks_against is not None and verdict.active != version_id:
         return replace(verdict, objections=(*verdict.objections, speaks_against))
-    said = [one.model_dump() for one in (speaks_against, unknown) if one is not None]
+    said = [FindingDocument.make(**one.model_dump()) for one in (speaks_against, unknown) if one is not None]
     return replace(verdict, warnings=(*verdict.warnings, *said))
 
 
@@ -102,7 +103,7 @@ def _with_recent_activation(database: Database, verdict: Verdict, version_id: st
         f"{last.actor} activated version {last.version_id} {f'{minutes} min' if minutes else 'less than a minute'} ago: "
         "this replaces it. `kilter version rollback` returns to it."
     )
-    return replace(verdict, warnings=({"code": "activated_lately", "message": said}, *verdict.warnings))
+    return replace(verdict, warnings=(FindingDocument.make("activated_lately", said), *verdict.warnings))
 
 
 def _left_out(database: Database, version_id: str, temperature_c: float | None) -> dict[str, Any]:

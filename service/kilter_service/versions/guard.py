@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kilter_core.errors import CoreError
+from kilter_core.errors import CoreError, FindingDocument
 from kilter_core.types import Floats
 from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.versions import Comparison, CorrectionLimits, Objection, Rival
@@ -59,7 +59,7 @@ class Verdict:
     active: str | None
     objections: tuple[Objection, ...]
     compared: Comparison | None
-    warnings: tuple[dict[str, Any], ...]
+    warnings: tuple[FindingDocument, ...]
 
 
 def judge(database: Database, version_id: str) -> Verdict:
@@ -185,7 +185,7 @@ class Case:
     rival_own: frozenset[str] = frozenset()
     since: str = ""
     names: Mapping[str, str] = field(default_factory=dict)
-    warnings: list[dict[str, Any]] = field(default_factory=list)
+    warnings: list[FindingDocument] = field(default_factory=list)
     unpredictable: list[Objection] = field(default_factory=list)
 
     def verdict(self, own: list[Objection]) -> Verdict:
@@ -224,7 +224,7 @@ class Case:
             worse.append(_objection("active", compared, compared.active))
         return Verdict(self.active, (*own, *worse), compared, tuple(self.warnings))
 
-    def compare_fitted_rows(self) -> tuple[list[Objection], list[dict[str, Any]]]:
+    def compare_fitted_rows(self) -> tuple[list[Objection], list[FindingDocument]]:
         """What rows that both versions were fitted to say: an objection, or a remark with both numbers."""
         found = [part for part in self._compare_campaigns() if part is not None and part.rival is not None]
         if not found:
@@ -238,7 +238,7 @@ class Case:
         )
         if core_identify.Difference.from_paired_errors(new, rival).worse:
             return [Objection(code=unfitted_rows.CODE, message=message + unfitted_rows.REMEDY)], []
-        return [], [{"code": unfitted_rows.COMPARED, "message": message}]
+        return [], [FindingDocument.make(unfitted_rows.COMPARED, message)]
 
     def _compare_campaigns(self) -> list[Part | None]:
         for message in self.unseen.left_out.values():
@@ -344,7 +344,7 @@ class Case:
 
     def warn(self, code: str, message: str) -> None:
         """Say what the comparison leaves out."""
-        self.warnings.append({"code": code, "message": message})
+        self.warnings.append(FindingDocument.make(code, message))
 
 
 def _objection(which: str, compared: Comparison, rival: Rival) -> Objection:

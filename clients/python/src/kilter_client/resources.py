@@ -167,15 +167,7 @@ class Campaigns(Kept):
         }
         return self._run(campaigns.add(robot, wanted))
 
-    def check(self, robot: str, rows: Prepared) -> Document:
-        """Check rows as an upload to a new campaign would; nothing is stored.
-
-        Raises:
-            ObservationError: what the upload would be refused with.
-
-        """
-        return self._run(campaigns.check(robot, rows))
-
+    check = make_document_method(campaigns.check)
     list = make_document_method(campaigns.list_campaigns)
     commit = make_document_method(campaigns.commit)
     discard = make_document_method(campaigns.discard)
@@ -201,14 +193,7 @@ class Versions(Kept):
 
     list = make_document_method(versions.list_versions)
     get = make_document_method(versions.fetch_document)
-
-    def activate(self, version: str, *, force: bool = False, reason: str = "", robot: str | None = None) -> Document:
-        """Make a version the one that corrects, unless it predicts worse than the active one.
-
-        ``force`` activates it nevertheless; the log records this and the ``reason``.
-        """
-        return self._run(versions.activate(version, force, reason, robot))
-
+    activate = make_document_method(versions.activate)
     activations = make_document_method(versions.activations)
     rollback = make_document_method(versions.rollback)
     diff = make_document_method(versions.diff)
@@ -262,24 +247,7 @@ class Jobs(Resource):
     list = make_document_method(jobs.list_jobs)
     get = make_document_method(jobs.fetch_document)
     cancel = make_document_method(jobs.cancel)
-
-    def wait(
-        self,
-        job: str,
-        progress: Progress | None = None,
-        timeout_s: float | None = None,
-        robot: str | None = None,
-    ) -> Document:
-        """Follow a job to its end and return its document with the result, through a restart of the server too.
-
-        Raises:
-            JobFailedError: it failed; the document is the exception's ``job``.
-            JobCancelledError: it was cancelled.
-            JobTimeoutError: it goes on after ``timeout_s``.
-            ServerUnreachableError: the server gave no answer for two minutes; the job is stored there.
-
-        """
-        return self._run(jobs.wait(job, progress, timeout_s, robot))
+    wait = make_document_method(jobs.wait)
 
     def run(
         self,

@@ -8,6 +8,8 @@ twist ``xi[slot[e]]`` is inserted as ``exp(xi)`` when ``slot[e] >= 0``. The cons
 Screw columns are the derivative of the tool point and of the tool orientation (as a rotation vector in the frame of
 the measurements) with respect to each element's motion; for a twist, the left Jacobian of SE(3) makes them exact at
 any size of the twist (Barfoot, State Estimation for Robotics, 7.1.5).
+
+The chain rule of effects, row by row: what local corrections move of the tool, compiled.
 """
 
 from __future__ import annotations
@@ -206,3 +208,36 @@ def _twist_columns(row, s, R, origin, J6, p, JX):
             JX[row, 3, c] = w0
             JX[row, 4, c] = w1
             JX[row, 5, c] = w2
+
+
+@compile_kernel()
+def put_turn(out, column, JQ, joint, dq):
+    """Add to ``out[:, :, column]`` what ``dq (N,)`` of a joint moves by ``JQ (N, m, n)``."""
+    for row in range(out.shape[0]):
+        for i in range(JQ.shape[1]):
+            out[row, i, column] += JQ[row, i, joint] * dq[row]
+
+
+@compile_kernel()
+def put_twist(out, column, JX, slot, frame, xi):
+    """The same of twists ``xi (N, 6)``, rotated by ``frame (3, 3)``, at a slot of ``JX (N, m, 6 S)``."""
+    for row in range(out.shape[0]):
+        for half in range(2):
+            for a in range(3):
+                v = 0.0
+                for b in range(3):
+                    v += frame[a, b] * xi[row, 3 * half + b]
+                if v == 0.0:
+                    continue
+                for i in range(JX.shape[1]):
+                    out[row, i, column] += JX[row, i, 6 * slot + 3 * half + a] * v
+
+
+@compile_kernel()
+def put_loads(out, places, moved, load, errors):
+    """Add ``moved (N, m)`` times row ``errors[k]`` of ``load (K, N)`` to each column ``places[k]`` of ``out (N, m, P)``."""
+    for row in range(out.shape[0]):
+        for k in range(places.shape[0]):
+            by = load[errors[k], row]
+            for i in range(moved.shape[1]):
+                out[row, i, places[k]] += moved[row, i] * by

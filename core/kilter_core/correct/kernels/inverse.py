@@ -52,9 +52,8 @@ from kilter_core.correct.kernels.layout import (
     WANTED,
     WEIGHT,
 )
-from kilter_core.correct.kernels.limits import aim, factor_task
 from kilter_core.correct.kernels.newton_euler import load_moments
-from kilter_core.correct.kernels.solver import expand, joint_step, normal_matrix
+from kilter_core.correct.kernels.solver import aim, expand, factor_task, joint_step, normal_matrix
 
 # Moments and Jacobian are taken anew while the command still moves by more than this; then they stand still.
 SETTLED_RAD = 1e-7

@@ -1,4 +1,7 @@
-"""From wanted joints to corrected joints in one call, compiled, without allocation: setpoints, chunks, and rows apart."""
+"""From wanted joints to corrected joints in one call, compiled, without allocation: setpoints, chunks, and rows apart.
+
+Where a version is less sure than it says: boxes of wanted joint values, compiled.
+"""
 
 from __future__ import annotations
 
@@ -6,16 +9,18 @@ import math
 
 from kilter_core.arm.kernels.compiled import EXACT, compile_kernel
 from kilter_core.correct.kernels.chain import wanted_tool
-from kilter_core.correct.kernels.doubts import flag_doubts
 from kilter_core.correct.kernels.inverse import evaluate_remaining_error, shorten, solve
 from kilter_core.correct.kernels.layout import (
     ACCEL_NOW,
     AIMED,
     BEHIND,
     COMMAND,
+    DOUBT_AT,
+    DOUBTS,
     FILTER,
     GUESS,
     GUESSED,
+    HIGHEST_OF_BOX,
     HYSTERESIS,
     INFO,
     ITERATIONS,
@@ -30,6 +35,7 @@ from kilter_core.correct.kernels.layout import (
     LEFT,
     LENGTH,
     LOWER,
+    LOWEST_OF_BOX,
     NEAR_REVERSAL,
     NEXT,
     NOT_FINITE,
@@ -67,6 +73,7 @@ from kilter_core.correct.kernels.layout import (
     TILT_B,
     TOO_LARGE,
     TOTAL,
+    UNSURE,
     UPPER,
     VELOCITY,
     WANTED,
@@ -398,3 +405,19 @@ def correct_rows(memory, program_rows, n, x, width, direction, out, info, status
     m = int(P[program_rows - 1, M])
     for row in range(x.shape[0]):
         status[row] = correct_row(P, W, state, x[row], width, direction[row], out[row], info[row], n, m)
+
+
+@compile_kernel(**EXACT)
+def flag_doubts(P, W, S, n, m):
+    """Return the flag UNSURE where the wanted joints are in a box of doubt, else 0."""
+    first = int(P[S, DOUBT_AT])
+    bounded = min(n, HIGHEST_OF_BOX - LOWEST_OF_BOX)
+    for row in range(first, first + int(P[S, DOUBTS])):
+        inside = 1
+        for i in range(bounded):
+            wanted = W[m + 1 + i, WANTED]
+            if not P[row, LOWEST_OF_BOX + i] <= wanted <= P[row, HIGHEST_OF_BOX + i]:
+                inside = 0
+        if inside != 0:
+            return UNSURE
+    return 0

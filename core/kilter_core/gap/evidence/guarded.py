@@ -9,11 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from kilter_core.errors import CoreError
+from kilter_core.errors import CoreError, FindingDocument
 from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.linear.linearized import fit_nonlinear_values
 from kilter_core.gap.search.sources.source import Source
@@ -82,22 +81,22 @@ class Guard:
         """The version beside the geometry fitted alone; None where it has no effects, or cannot be compared."""
         return self._compare_with_refit([]) if self.found.chosen else None
 
-    def warnings(self, registered: Calibration | None) -> Iterator[dict[str, Any]]:
+    def warnings(self, registered: Calibration | None) -> Iterator[FindingDocument]:
         """Say that the whole version predicts the confirmation worse than base and tool alone."""
         if registered is None or self.errors is None or not self.found.problem.settings.source.observes_tool:
             return
         plain = _errors(registered, self.rows)
         told = None if plain is None else Guarded.from_errors(self.errors, plain)
         if told is not None and told.worse:
-            yield {
-                "code": CODE,
-                "simpler_mm": mm(told.without),
-                "identified_mm": mm(told.with_it),
-                "beyond_chance": True,
-                "message": f"The confirmation is predicted worse ({mm(told.with_it):.3g} mm) than with base and tool alone "
+            yield FindingDocument.make(
+                CODE,
+                f"The confirmation is predicted worse ({mm(told.with_it):.3g} mm) than with base and tool alone "
                 f"({mm(told.without):.3g} mm), both fitted to it: do not activate this version. What was found is not what "
                 "the arm does there; measure more poses in both campaigns and search again.",
-            }
+                simpler_mm=mm(told.without),
+                identified_mm=mm(told.with_it),
+                beyond_chance=True,
+            )
 
     def _compare_with_refit(self, columns: list[int]) -> Guarded | None:
         if self.errors is None:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from kilter_core.errors import FindingDocument
 from kilter_core.gap.evidence.claim import CLASS
 from kilter_core.gap.evidence.held_out.adequacy import Adequacy
 from kilter_core.gap.evidence.held_out.practical_size import Misfit
@@ -103,7 +104,7 @@ class GapReport:
     negative_control: dict[str, Any]
     alias_matrix: dict[str, Any]
     noise: dict[str, Any]
-    warnings: tuple[dict[str, Any], ...]
+    warnings: tuple[FindingDocument, ...]
     figures: dict[str, Any]
     effect_curves: list[dict[str, Any]]
     library: Library

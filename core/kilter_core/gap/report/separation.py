@@ -23,7 +23,7 @@ from kilter_core.effects.physical import (
     Separator,
     joint_numbers,
 )
-from kilter_core.errors import OptionError
+from kilter_core.errors import FindingDocument, OptionError
 from kilter_core.gap.effect_search import SearchOutcome
 from kilter_core.gap.evidence.similarity.aliases import SAME, correlation
 from kilter_core.gap.evidence.similarity.smooth import TURN
@@ -254,10 +254,10 @@ class ToldApart:
             "sentence": self.sentence,
         }
 
-    def warnings(self) -> Iterator[dict[str, Any]]:
+    def warnings(self) -> Iterator[FindingDocument]:
         """Warn where the poses are not enough."""
         if not self.enough:
-            yield {"code": "poses_will_not_tell", "message": self.sentence}
+            yield FindingDocument.make("poses_will_not_tell", self.sentence)
 
 
 Proposed = tuple[list[dict[str, Any]], ToldApart | None]  # poses as documents, and whether they tell two apart

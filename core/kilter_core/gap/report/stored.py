@@ -13,6 +13,7 @@ from kilter_core.effects import Effect
 from kilter_core.effects.curves import JointCurve
 from kilter_core.effects.laws import LawOfTemperature
 from kilter_core.effects.physical import JOINT_CURVE
+from kilter_core.errors import FindingDocument
 from kilter_core.gap.evidence.fits.final_fit import Posterior, posterior
 from kilter_core.gap.evidence.fits.intervals import scale_freedom
 from kilter_core.gap.evidence.verdict import Judged
@@ -129,7 +130,7 @@ class Stored:
         known = known_parameters(self.calibration, found.names, found.covariance, found.prior_sigma)
         return null_rows(null_directions(found.J, found.names, found.prior_sigma), known)
 
-    def similar_pose_warnings(self) -> Iterator[dict[str, Any]]:
+    def similar_pose_warnings(self) -> Iterator[FindingDocument]:
         """Warn of poses too alike to know the tool elsewhere, as an identification does."""
         if self.registered is None or (self.shown.position is None and self.shown.markers is None):
             return

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from kilter_core.effects.physical import joint_numbers
+from kilter_core.errors import FindingDocument
 from kilter_core.gap.noise.covariance_models import PairModel
 from kilter_core.gap.noise.from_repeats import (
     Noise,
@@ -44,7 +44,7 @@ class NoiseReader:
     visits: Visits
     library: Library
     options: GapOptions
-    warnings: list[dict[str, Any]]
+    warnings: list[FindingDocument]
 
     def read(self) -> Noise:
         """Noise of the tool, and of the sensors beside it."""
@@ -129,15 +129,13 @@ def pose_beside_ways(visits: Visits) -> Ints:
     return plain.conditions()
 
 
-NO_RE_APPROACH = {
-    "code": "no_re_approach",
-    "message": "Repeats were taken without leaving the pose, so how well the arm comes back is not known: unless what is left "
+NO_RE_APPROACH = FindingDocument.make(
+    "no_re_approach",
+    "Repeats were taken without leaving the pose, so how well the arm comes back is not known: unless what is left "
     "is as small as these repeats, every verdict is relative to the scatter of the fit. Approach ten poses anew three times "
     "each, with another pose in between.",
-}
+)
 
-
-Warning_ = dict[str, Any]
 
 # By the model with what it knows at the end.
 JUDGED_AGAIN = ("outliers", "repeats_drift", "drift_not_separated", "revisits_bound_noise")
@@ -145,14 +143,14 @@ BEYOND = 3.0  # times the instrument, from which repeats show that something mov
 FEWEST_AGAIN = 3  # poses visited again from which a person meant to repeat
 
 
-REPEATS_SET_ASIDE: Warning_ = {
-    "code": "no_repeats",
-    "message": "Without the visits that were set aside fewer than three repeated approaches are left, so the noise is that of "
+REPEATS_SET_ASIDE: FindingDocument = FindingDocument.make(
+    "no_repeats",
+    "Without the visits that were set aside fewer than three repeated approaches are left, so the noise is that of "
     "the fit: every verdict is relative to it. Repeat ten poses thrice, coming from the same pose before.",
-}
+)
 
 
-def no_repeats_warning(visits: Visits) -> Warning_:
+def no_repeats_warning(visits: Visits) -> FindingDocument:
     """Say that no visits should agree, and why: no pose was visited again, or every time in another session."""
     again = np.flatnonzero(np.bincount(visits.pose) > 1)
     session = visits.observations.session
@@ -168,10 +166,10 @@ def no_repeats_warning(visits: Visits) -> Warning_:
             f"{len(again)} poses were visited again, but in another session, and too few visits are alike to show the noise; "
             f"{relative} Come back to ten poses thrice within a session."
         )
-    return {"code": "no_repeats", "message": said}
+    return FindingDocument.make("no_repeats", said)
 
 
-def rounding_warnings(one: Rounding | None, source: Source, held: bool) -> Iterator[Warning_]:
+def rounding_warnings(one: Rounding | None, source: Source, held: bool) -> Iterator[FindingDocument]:
     """Say to which step joint readings are rounded, how far that moves the tool, and how it counts."""
     if one is None:
         return
@@ -183,14 +181,14 @@ def rounding_warnings(one: Rounding | None, source: Source, held: bool) -> Itera
         size = f"{mm(step):.4g} mm" if slides else f"{degrees(step):.4g} deg"
         said.append(f"{size} ({joint_numbers(own)})")
     counted = "which the noise holds already" if held else "which counts as noise of its own"
-    yield {
-        "code": "rounded_readings",
-        "message": f"The joint readings are multiples of {' and '.join(said)}: rounding moves the tool by "
+    yield FindingDocument.make(
+        "rounded_readings",
+        f"The joint readings are multiples of {' and '.join(said)}: rounding moves the tool by "
         f"{mm(coordinate(one, source)):.2g} mm, rms of a coordinate, {counted}. Record the readings with more digits.",
-    }
+    )
 
 
-def noise_warnings(noise: Noise, joint: bool) -> Iterator[Warning_]:
+def noise_warnings(noise: Noise, joint: bool) -> Iterator[FindingDocument]:
     """Say how far repeats drifted, or that the rows cannot show it."""
     drift = noise.drift
     unit, scale = ("deg", DEG) if joint else ("µm", 1e6)
@@ -198,49 +196,49 @@ def noise_warnings(noise: Noise, joint: bool) -> Iterator[Warning_]:
         sizes = {"over the campaign": drift.over_campaign * scale, "per K": drift.per_kelvin * scale}
         said = " and ".join(f"{v:.3g} {unit} {k}" for k, v in sizes.items() if v > 0.0) or f"0 {unit}"
         clock = "" if drift.timed else " (by the order of the rows, because there is no clock)"
-        yield {
-            "code": "repeats_drift",
-            "message": f"The repeats drifted by {said}{clock}, rms of a coordinate. The noise is what is left of them at no "
+        yield FindingDocument.make(
+            "repeats_drift",
+            f"The repeats drifted by {said}{clock}, rms of a coordinate. The noise is what is left of them at no "
             "distance in time and temperature. Let arm and instrument warm up, and repeat poses soon after one another.",
-        }
+        )
     if noise.has_too_few_revisits:
-        yield {
-            "code": "revisits_bound_noise",
-            "message": "The noise is that of poses visited again from other sides or under other loads, and what these do "
+        yield FindingDocument.make(
+            "revisits_bound_noise",
+            "The noise is that of poses visited again from other sides or under other loads, and what these do "
             "could not all be fitted: noise is this at most, and no claim is confirmed by it. Come back to ten poses thrice "
             "in the same way.",
-        }
+        )
     elif noise.most:
-        yield {
-            "code": "drift_not_separated",
-            "message": "The repeats are too few, or all far apart in time, so noise and drift cannot be separated: noise is "
+        yield FindingDocument.make(
+            "drift_not_separated",
+            "The repeats are too few, or all far apart in time, so noise and drift cannot be separated: noise is "
             "this at most, and no claim is confirmed by it. Repeat ten poses with only one other pose in between.",
-        }
+        )
 
 
-def instrument_warnings(noise: Noise, stated: float | None) -> Iterator[Warning_]:
+def instrument_warnings(noise: Noise, stated: float | None) -> Iterator[FindingDocument]:
     """Say that repeats scatter by far more than the instrument, ``stated`` m of a coordinate, does."""
     if stated is None or not stated > 0.0 or noise.between is None or noise.coordinate < BEYOND * stated:
         return
     ratio = noise.coordinate / stated
     within = "" if noise.within is None else f" ({mm(noise.within):.3g} mm without leaving the pose)"
-    yield {
-        "code": "noise_beyond_instrument",
-        "ratio": ratio,
-        "message": f"Repeats differ by {mm(noise.coordinate):.3g} mm (standard deviation of a coordinate){within}, "
+    yield FindingDocument.make(
+        "noise_beyond_instrument",
+        f"Repeats differ by {mm(noise.coordinate):.3g} mm (standard deviation of a coordinate){within}, "
         f"{ratio:.2g} times what the instrument states ({mm(stated):.3g} mm): something moves between visits. Hysteresis "
         "and friction memory of the joints (presliding), a loose mount or nest, or warming do that; errors smaller than this "
         "cannot be seen. Approach poses from the same side and on the same way, and check mounts.",
-    }
+        ratio=ratio,
+    )
 
 
-def outlier_warnings(problem: LinearizedProblem) -> Iterator[Warning_]:
+def outlier_warnings(problem: LinearizedProblem) -> Iterator[FindingDocument]:
     """Say how many visits were set aside."""
     used = problem.settings.used
     if not used.all():
-        yield {
-            "code": "outliers",
-            "visits": int(np.sum(~used)),
-            "message": f"{int(np.sum(~used))} of {len(used)} visits could be explained by nothing in the library and were set "
+        yield FindingDocument.make(
+            "outliers",
+            f"{int(np.sum(~used))} of {len(used)} visits could be explained by nothing in the library and were set "
             "aside.",
-        }
+            visits=int(np.sum(~used)),
+        )

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 import scipy.linalg
 
 from kilter_core.effects import Effect
 from kilter_core.effects.masses import LoadError
-from kilter_core.errors import NotConvergedError, ObservationError, TooFewPosesError
+from kilter_core.errors import FindingDocument, NotConvergedError, ObservationError, TooFewPosesError
 from kilter_core.gap.noise.from_repeats import add_approach_noise, fit_noise, spikes
 from kilter_core.gap.noise.visits import (
     Visits,
@@ -72,7 +71,7 @@ class Prepared:
     outlying: Ints  # rows set aside, as spikes or with their visit, of those given
     moving: bool
     width: int  # rows in a window of a motion
-    warnings: tuple[dict[str, Any], ...]
+    warnings: tuple[FindingDocument, ...]
 
     def update_noise_and_outliers(self, found: LinearizedProblem) -> Prepared:
         """The same with noise and outliers as the search judged them at its end, the geometry fitted to what is left."""
@@ -117,7 +116,7 @@ class _Preparation:
     options: GapOptions
     progress: Progress
     budget: Budget
-    warnings: list[dict[str, Any]] = field(default_factory=list)
+    warnings: list[FindingDocument] = field(default_factory=list)
 
     def run(self) -> Prepared:
         kept = self._without_copies()
@@ -315,7 +314,7 @@ class _Preparation:
         )
 
     def _warn(self, code: str, message: str) -> None:
-        self.warnings.append({"code": code, "message": message})
+        self.warnings.append(FindingDocument.make(code, message))
 
 
 def average_motion_rows(

@@ -17,6 +17,7 @@ import numpy as np
 
 from kilter_core.arm.conversions.tables import chain_frames, screws_of_chain
 from kilter_core.arm.robot import Robot
+from kilter_core.errors import FindingDocument
 from kilter_core.identify.plausibility.mix_ups import MixUp
 from kilter_core.identify.plausibility.set_up_changes import Sample, place
 from kilter_core.model import Calibration
@@ -267,19 +268,19 @@ def differences(calibration: Calibration) -> list[Difference]:
     return [*out, *ends]
 
 
-def another_arm(calibration: Calibration) -> Iterator[dict[str, Any]]:
+def another_arm(calibration: Calibration) -> Iterator[FindingDocument]:
     """Warn that the arm found is not the arm described, with what differs most; nothing where it may be the same."""
     with np.errstate(all="ignore"):  # of nonsense: what is not a number is not near nominal either
         many = sorted((d for d in differences(calibration) if not d.sigmas <= MANY), key=lambda d: -d.sigmas)
     if many:
         more = f", and {len(many) - NAMED} more" if len(many) > NAMED else ""
-        yield {
-            "code": CODE,
-            "sigmas": many[0].sigmas,
-            "message": f"This is not the arm described: {'; '.join(d.sentence for d in many[:NAMED])}{more}. No arm is made so "
+        yield FindingDocument.make(
+            CODE,
+            f"This is not the arm described: {'; '.join(d.sentence for d in many[:NAMED])}{more}. No arm is made so "
             "far off its drawing: do not activate this version. Register the robot that was measured (another preset, or its "
             "URDF or table), or correct its description, and identify again.",
-        }
+            sigmas=many[0].sigmas,
+        )
 
 
 def _driven(calibration: Calibration) -> list[Any]:

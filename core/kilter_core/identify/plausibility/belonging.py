@@ -8,12 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from kilter_core.arm.robot import Robot
-from kilter_core.errors import ObservationError
+from kilter_core.errors import FindingDocument, ObservationError
 from kilter_core.identify.plausibility.plausibility import FACTOR, FOREIGN, refuse_foreign
 from kilter_core.identify.plausibility.set_up_changes import Sample, place_nearer, seen_tool
 from kilter_core.identify.plausibility.unrelated_views import refuse_unrelated_views
@@ -108,7 +107,7 @@ CERTAIN = 5.0  # standard errors by which the two sides must differ
 LEAST = 2e-5  # rad or m between the two sides that is worth a word
 
 
-def lag_warnings(robot: Robot, rows: Observations) -> list[dict[str, Any]]:
+def lag_warnings(robot: Robot, rows: Observations) -> list[FindingDocument]:
     """Say of which joints reading less command follows the direction of the motion, and by how much from side to side."""
     if rows.command is None:
         return []
@@ -123,13 +122,13 @@ def lag_warnings(robot: Robot, rows: Observations) -> list[dict[str, Any]]:
     ]
     said = ", ".join(f"joint {j + 1} by {size}" for j, size in zip(found, shown, strict=True))
     return [
-        {
-            "code": "readings_follow_motion",
-            "joints": [j + 1 for j in found],
-            "message": f"Reading less command differs between the two directions of motion: {said}. If the arm had not arrived "
+        FindingDocument.make(
+            "readings_follow_motion",
+            f"Reading less command differs between the two directions of motion: {said}. If the arm had not arrived "
             "when its joints were read, or the log is late, this comes out as a backlash of those joints: read them at rest, "
             "or upload the commands as q. If the arm stood still, its servos stop short and the readings are right.",
-        }
+            joints=[j + 1 for j in found],
+        )
     ]
 
 
@@ -167,7 +166,7 @@ JUDGEMENTS = (
 )
 
 
-def refuse_mixed_up(begin: Calibration, rows: Observations) -> tuple[dict[str, Any], ...]:
+def refuse_mixed_up(begin: Calibration, rows: Observations) -> tuple[FindingDocument, ...]:
     """Refuse rows that a mix-up explains far better than physics; return warnings about what only looks odd.
 
     Give all ``rows`` of a campaign in the order they came, before any are held out: joints of the row above are found
@@ -179,7 +178,7 @@ def refuse_mixed_up(begin: Calibration, rows: Observations) -> tuple[dict[str, A
             was tried; or what is wrong with the columns.
 
     """
-    warnings: list[dict[str, Any]] = []
+    warnings: list[FindingDocument] = []
     try:
         warnings += _judge_tool(begin, rows)
         if rows.pixels is not None:
@@ -190,13 +189,13 @@ def refuse_mixed_up(begin: Calibration, rows: Observations) -> tuple[dict[str, A
             raise
         if rows.unchecked is None or not rows.unchecked.any():
             raise type(error)(f"{error.message} {WAY_OUT}", code=error.code, **error.context) from error
-        warnings.append({"code": error.code, "message": f"{error.message} The rows count all the same (--unchecked)."})
+        warnings.append(FindingDocument.make(error.code, f"{error.message} The rows count all the same (--unchecked)."))
     return (*warnings, *lag_warnings(begin.robot, rows))
 
 
-def _judge_tool(begin: Calibration, rows: Observations) -> list[dict[str, Any]]:
+def _judge_tool(begin: Calibration, rows: Observations) -> list[FindingDocument]:
     """Refuse rows of an instrument that cannot be of the arm; what only looks odd in them."""
-    warnings: list[dict[str, Any]] = []
+    warnings: list[FindingDocument] = []
     if rows.position is None and rows.markers is None:
         return warnings
     for part in _split_by_setup(rows):
@@ -268,7 +267,7 @@ NEAR_M = 1e-3  # rms distance of rows among which none hides: they need no secon
 SHOWN = 5
 
 
-def astray_warnings(begin: Calibration, rows: Observations) -> Iterator[dict[str, Any]]:
+def astray_warnings(begin: Calibration, rows: Observations) -> Iterator[FindingDocument]:
     """Name rows (from 1, of those given) that no arm explains; every set-up of the instrument is placed by itself."""
     found: list[tuple[int, float, float]] = []
     for part in _set_ups(rows):
@@ -282,7 +281,7 @@ def astray_warnings(begin: Calibration, rows: Observations) -> Iterator[dict[str
         yield _astray_warning([(row, mm(off)) for row, off, _ in sorted(found)], others_mm)
 
 
-def renumber_warnings(warnings: Iterable[dict[str, Any]], index: Ints) -> Iterator[dict[str, Any]]:
+def renumber_warnings(warnings: Iterable[FindingDocument], index: Ints) -> Iterator[FindingDocument]:
     """The same warnings of rows that are ``index`` (from 0) of more."""
     for one in warnings:
         if one["code"] == ASTRAY:
@@ -292,32 +291,33 @@ def renumber_warnings(warnings: Iterable[dict[str, Any]], index: Ints) -> Iterat
             yield one
 
 
-def of_held_out(warnings: Iterable[dict[str, Any]]) -> Iterator[dict[str, Any]]:
+def of_held_out(warnings: Iterable[FindingDocument]) -> Iterator[FindingDocument]:
     """What is said of rows of a validation: those astray, which are in the errors on held-out rows."""
     for one in warnings:
         if one["code"] == ASTRAY:
-            yield {**one, "message": f"Of the validation's rows: {one['message'][0].lower()}{one['message'][1:]}"}
+            said = f"Of the validation's rows: {one['message'][0].lower()}{one['message'][1:]}"
+            yield FindingDocument.make(**one | {"message": said})
 
 
-def unless_astray(warnings: Iterable[dict[str, Any]]) -> Iterator[dict[str, Any]]:
+def unless_astray(warnings: Iterable[FindingDocument]) -> Iterator[FindingDocument]:
     """The warnings without that of a large residual where rows astray explain it, which no arm has to."""
     said = list(warnings)
     astray = any(one["code"] == ASTRAY for one in said)
     yield from (one for one in said if not (astray and one["code"] == "large_residual"))
 
 
-def _astray_warning(found: list[tuple[int, float]], others_mm: float) -> dict[str, Any]:
+def _astray_warning(found: list[tuple[int, float]], others_mm: float) -> FindingDocument:
     shown = ", ".join(f"row {row} by {off:.3g} mm" for row, off in found[:SHOWN])
     more = f" and {len(found) - SHOWN} more" if len(found) > SHOWN else ""
-    return {
-        "code": ASTRAY,
-        "rows": [row for row, _ in found],
-        "off_mm": [off for _, off in found],
-        "others_mm": others_mm,
-        "message": f"The tool is not where the joints put it in {shown}{more}, where the others are within {others_mm:.2g} mm. "
+    return FindingDocument.make(
+        ASTRAY,
+        f"The tool is not where the joints put it in {shown}{more}, where the others are within {others_mm:.2g} mm. "
         "No arm does that: a reading that was not taken (zeros), the position of another pose, or joints of another. Leave "
         "these rows out of the file and upload it again.",
-    }
+        rows=[row for row, _ in found],
+        off_mm=[off for _, off in found],
+        others_mm=others_mm,
+    )
 
 
 def _set_ups(rows: Observations) -> Iterator[Ints]:

@@ -12,11 +12,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import permutations
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from scipy.special import gammaincinv
 
+from kilter_core.errors import FindingDocument
 from kilter_core.identify.fit.least_squares import Fit
 from kilter_core.identify.plausibility.mix_ups import mix_ups
 from kilter_core.identify.plausibility.set_up_changes import Sample
@@ -54,7 +55,7 @@ class Reading:
     variants: Floats
 
 
-def rotation_faults(sample: Sample, stated: bool) -> tuple[Accusation | None, tuple[dict[str, Any], ...]]:
+def rotation_faults(sample: Sample, stated: bool) -> tuple[Accusation | None, tuple[FindingDocument, ...]]:
     """What is wrong with the rotations where positions fit; ``stated``: by angles or quaternions, not seen by markers.
 
     Returns an accusation (sentences, remedies, degrees left before and after) or None, and warnings.
@@ -169,7 +170,7 @@ def _other_axes(rotations: Floats, flange: Floats) -> Iterator[Reading]:
         )
 
 
-def _right_angle(sample: Sample, tool: Floats) -> tuple[dict[str, Any], ...]:
+def _right_angle(sample: Sample, tool: Floats) -> tuple[FindingDocument, ...]:
     """Warn of a tool that is rotated against the robot's by a right angle about one of its axes."""
     about = rotation_log((sample.begin.robot.T_tool[:3, :3].T @ tool)[None])[0]
     angle = float(np.linalg.norm(about))
@@ -178,14 +179,14 @@ def _right_angle(sample: Sample, tool: Floats) -> tuple[dict[str, Any], ...]:
     if nearest == 0 or not axis or abs(angle - nearest * np.pi / 2.0) > RIGHT_RAD:
         return ()
     return (
-        {
-            "code": "orientation_right_angle",
-            "axis": axis,
-            "angle_deg": 90 * nearest,
-            "message": f"Positions fit, and the measured orientation is rotated by {90 * nearest} degrees about the "
+        FindingDocument.make(
+            "orientation_right_angle",
+            f"Positions fit, and the measured orientation is rotated by {90 * nearest} degrees about the "
             f"tool's {axis} axis against the robot's tool. If that is not how the target "
             "sits, correct the tool of the robot or the axes of the orientation; a free tool takes it up.",
-        },
+            axis=axis,
+            angle_deg=90 * nearest,
+        ),
     )
 
 
@@ -321,20 +322,20 @@ def sizes(seen: ViewResiduals, used: Bools) -> Floats:
     return np.asarray(np.linalg.norm(left, axis=1))
 
 
-def astray_views(seen: ViewResiduals, far: Bools, numbers: Ints) -> Iterator[dict[str, Any]]:
+def astray_views(seen: ViewResiduals, far: Bools, numbers: Ints) -> Iterator[FindingDocument]:
     """The warning ``views_astray``; ``numbers (N,)`` are those of the fitted rows among the ones given, from 0."""
     if not far.any():
         return
     size = mm(sizes(seen, ~far))
     rows, off_mm = (numbers[seen.rows[far]] + 1).tolist(), size[far].tolist()
-    yield {
-        "code": "views_astray",
-        "rows": rows,
-        "off_mm": off_mm,
-        "message": f"Rows {rows_off(rows, off_mm)} are far from where the others put the tool, which are off by "
+    yield FindingDocument.make(
+        "views_astray",
+        f"Rows {rows_off(rows, off_mm)} are far from where the others put the tool, which are off by "
         f"{float(np.median(size[~far])):.2g} mm (median): joints of another picture, an arm that moved, or corners that are "
         "wrong. Look at these pictures, correct their joints or leave these rows out, and identify again.",
-    }
+        rows=rows,
+        off_mm=off_mm,
+    )
 
 
 def rows_off(rows: Sequence[int], off_mm: Sequence[float]) -> str:

@@ -12,11 +12,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 
-from kilter_core.errors import ObservationError
+from kilter_core.errors import FindingDocument, ObservationError
 from kilter_core.identify.plausibility.believable import believable, find_lacking, reach
 from kilter_core.identify.plausibility.mix_ups import LENGTHS, MixUp, mix_ups
 from kilter_core.identify.plausibility.orientation_mix_ups import rotation_faults
@@ -166,7 +165,7 @@ class Finding:
     read: Sample | None = None
 
 
-def refuse_foreign(begin: Calibration, measurement: Measurement) -> tuple[dict[str, Any], ...]:
+def refuse_foreign(begin: Calibration, measurement: Measurement) -> tuple[FindingDocument, ...]:
     """Look for mix-ups of joints, units, signs, zeros, conventions and tools; return warnings about the orientation.
 
     Raises:
@@ -208,16 +207,16 @@ def _explained_otherwise(sample: Sample, found: Finding) -> bool:
     return find_lacking(sample).left * ALIKE <= find_lacking(found.read).left
 
 
-def _duplicate_marker_warnings(markers: Floats | None) -> Iterator[dict[str, Any]]:
+def _duplicate_marker_warnings(markers: Floats | None) -> Iterator[FindingDocument]:
     pair = None if markers is None else equal_markers(markers)
     if pair is not None:
         a, b = pair
-        yield {
-            "code": "markers_equal",
-            "markers": [a, b],
-            "message": f"Markers {a} and {b} are equal to the last digit in every row: their columns hold one marker twice. "
+        yield FindingDocument.make(
+            "markers_equal",
+            f"Markers {a} and {b} are equal to the last digit in every row: their columns hold one marker twice. "
             f"Correct the columns of one of them in the export or the column map, or leave marker {b} out.",
-        }
+            markers=[a, b],
+        )
 
 
 def _refuse(
@@ -239,7 +238,7 @@ def _refuse(
     )
 
 
-def _description_warnings(sample: Sample) -> Iterator[dict[str, Any]]:
+def _description_warnings(sample: Sample) -> Iterator[FindingDocument]:
     """Warn of a description that does not fit the rows."""
     found = find_misfit(sample) if _has_gross_misfit(sample) else None
     if found is None:
@@ -257,13 +256,13 @@ def _description_warnings(sample: Sample) -> Iterator[dict[str, Any]]:
             shuffled_mm=shuffled,
         )
     lacks = f"It looks to lack {found.lacking}. " if found.lacking else ""
-    yield {
-        "code": "description_does_not_fit",
-        "before_mm": before,
-        "shuffled_mm": shuffled,
-        "message": f"The robot's description does not fit the rows: {left}. {lacks}Correct the robot's table or URDF and add "
+    yield FindingDocument.make(
+        "description_does_not_fit",
+        f"The robot's description does not fit the rows: {left}. {lacks}Correct the robot's table or URDF and add "
         "it again.",
-    }
+        before_mm=before,
+        shuffled_mm=shuffled,
+    )
 
 
 def _has_gross_misfit(sample: Sample) -> bool:

@@ -9,11 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
-from kilter_core.errors import ObservationError
+from kilter_core.errors import FindingDocument, ObservationError
 from kilter_core.identify.plausibility.orientation_mix_ups import rows_off
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.camera.board_poses import board_poses
@@ -84,7 +83,7 @@ class _Sample:
             return None
 
 
-def refuse_unrelated_views(begin: Calibration, rows: Observations) -> tuple[dict[str, Any], ...]:
+def refuse_unrelated_views(begin: Calibration, rows: Observations) -> tuple[FindingDocument, ...]:
     """Refuse views whose joints are of other pictures or read the other way round, and another board or camera than is
     described; warn of senses that fit as well.
 
@@ -220,17 +219,17 @@ def shuffled_control(begin: Calibration, rows: Observations) -> dict[str, float 
     return {"given_mm": given, "shuffled_mm": shuffled}
 
 
-def _mirrored_sense_warnings(sample: _Sample, reversed_: dict[int, float], given: float) -> Iterator[dict[str, Any]]:
+def _mirrored_sense_warnings(sample: _Sample, reversed_: dict[int, float], given: float) -> Iterator[FindingDocument]:
     """Say which joints fit as well reversed: no view tells in which sense they move."""
     for j, left in reversed_.items():
         if left < AS_GOOD * given and np.ptp(sample.rows.q[:, j]) > 0.1:
             name = sample.begin.robot.joints[j].name
-            yield {
-                "code": "mirrored_sense",
-                "joint": name,
-                "message": f"Joint {name} fits these pictures as well with the opposite sense: camera and board would stand "
+            yield FindingDocument.make(
+                "mirrored_sense",
+                f"Joint {name} fits these pictures as well with the opposite sense: camera and board would stand "
                 "elsewhere. Add views in which further joints move, or move that joint alone and see which way the board goes.",
-            }
+                joint=name,
+            )
 
 
 def _sample(begin: Calibration, rows: Observations) -> _Sample | None:

@@ -10,6 +10,7 @@ import numpy as np
 
 from kilter_core.arm.chain import Element
 from kilter_core.effects.masses import LoadError
+from kilter_core.errors import FindingDocument
 from kilter_core.identify.carried_masses import beside_drawn_masses, considered_masses
 from kilter_core.identify.fit.least_squares import Fit
 from kilter_core.identify.fleet_report import prior_warnings
@@ -134,7 +135,7 @@ class Outcome:
         return load_rows(self.fitted.arm, fit.names, fit.sigma, fit.problem.prior_sigma)
 
 
-CHECKS_AFTER: tuple[Callable[[Outcome], Iterable[dict[str, Any]]], ...] = (
+CHECKS_AFTER: tuple[Callable[[Outcome], Iterable[FindingDocument]], ...] = (
     lambda one: fit_warnings(one.known.arm_fit, one.study.train, one.known.repeats),
     lambda one: () if one.fitted.learned is None else (one.fitted.learned.warning(),),
     lambda one: another_arm(one.fitted.arm),
@@ -152,7 +153,7 @@ CHECKS_AFTER: tuple[Callable[[Outcome], Iterable[dict[str, Any]]], ...] = (
 )
 
 
-def list_findings(outcome: Outcome) -> tuple[dict[str, Any], ...]:
+def list_findings(outcome: Outcome) -> tuple[FindingDocument, ...]:
     """Warnings of all checks, without those that another one explains."""
     return tuple(unless_astray(finding for check in CHECKS_AFTER for finding in check(outcome)))
 
@@ -162,7 +163,7 @@ def list_findings(outcome: Outcome) -> tuple[dict[str, Any], ...]:
 # scale what all lengths do together. Which of the two a fit gives it to is a choice, and no pixel contradicts it.
 
 
-def gauges(fit: Fit) -> Iterator[dict[str, Any]]:
+def gauges(fit: Fit) -> Iterator[FindingDocument]:
     """Warnings ``camera_gauge``: what is given to one of two that act alike; nothing where a tracker measured too."""
     rig, names = unknown_rig(fit.problem.model), list(fit.names)
     if rig is None:
@@ -188,7 +189,7 @@ def gauges(fit: Fit) -> Iterator[dict[str, Any]]:
             )
 
 
-def _of_ends(fit: Fit, rig: PlacedRig, unknown: set[str]) -> Iterator[dict[str, Any]]:
+def _of_ends(fit: Fit, rig: PlacedRig, unknown: set[str]) -> Iterator[FindingDocument]:
     robot = fit.problem.model.robot
     elements = robot.chain.elements
     joints = [k for k, e in enumerate(elements) if e.joint is not None]
@@ -217,17 +218,17 @@ def _fixed_and_flange_parts(rig: PlacedRig) -> tuple[str, str]:
     return fixed, next(format_part_name(what, name) for what, name, mount in parts if mount == "flange")
 
 
-def _gauge_warning(gauge: str, names: list[str], what: str, other: str) -> dict[str, Any]:
-    return {
-        "code": "camera_gauge",
-        "gauge": gauge,
-        "parameters": names,
-        "message": f"{what} ({', '.join(names)}) cannot be told from {other} by these pixels: it keeps what it was given. To "
+def _gauge_warning(gauge: str, names: list[str], what: str, other: str) -> FindingDocument:
+    return FindingDocument.make(
+        "camera_gauge",
+        f"{what} ({', '.join(names)}) cannot be told from {other} by these pixels: it keeps what it was given. To "
         f"settle it, {SETTLES[gauge]}.",
-    }
+        gauge=gauge,
+        parameters=names,
+    )
 
 
-def bent_boards(fit: Fit) -> Iterator[dict[str, Any]]:
+def bent_boards(fit: Fit) -> Iterator[FindingDocument]:
     """Warnings ``board_not_flat``; nothing where no camera measured, or too little."""
     views = fit.problem.measurement.pixels
     if views is None:
@@ -239,24 +240,24 @@ def bent_boards(fit: Fit) -> Iterator[dict[str, Any]]:
             continue
         (x, y), twist = (mm(v) for v in one.bows), mm(one.twist)
         size, half = mm(one.size), mm(QUANTILE * one.sigma)
-        yield {
-            "code": "board_not_flat",
-            "board": one.board,
-            "size_mm": size,
-            "u95_mm": half,
-            "bow_x_mm": x,
-            "bow_y_mm": y,
-            "twist_mm": twist,
-            "rms_px": one.rms_px,
-            "p_value": one.chance,
-            "message": f"Board {one.board} is not flat: from its highest to its lowest corner {size:.2g} mm (95 %: within "
+        yield FindingDocument.make(
+            "board_not_flat",
+            f"Board {one.board} is not flat: from its highest to its lowest corner {size:.2g} mm (95 %: within "
             f"{half:.1g} mm), a bow of {x:.2g} mm along x and {y:.2g} mm along y and a twist of {twist:.2g} mm in z of its "
             f"frame. It moves corners by {one.rms_px:.2g} px (rms). Glue it to a stiff plate and measure anew, or add this to "
             "the heights in its `corners_mm`; if another board says the same, the lens needs another model.",
-        }
+            board=one.board,
+            size_mm=size,
+            u95_mm=half,
+            bow_x_mm=x,
+            bow_y_mm=y,
+            twist_mm=twist,
+            rms_px=one.rms_px,
+            p_value=one.chance,
+        )
 
 
-def bad_timing(fit: Fit) -> Iterator[dict[str, Any]]:
+def bad_timing(fit: Fit) -> Iterator[FindingDocument]:
     """Warnings ``pictures_late`` and ``rolling_shutter``; nothing of views of an arm at rest."""
     views = fit.problem.measurement.pixels
     found = None if views is None else timing(views, fit.calibration())
@@ -291,13 +292,7 @@ def _format_delay(one: Delay) -> str:
     return f"{abs(one.s):.3g} s (95 %: within {QUANTILE * one.sigma:.1g} s)"
 
 
-def _timing_warning(code: str, one: Delay, views: int, message: str) -> dict[str, Any]:
-    return {
-        "code": code,
-        "time_s": one.s,
-        "u95_s": QUANTILE * one.sigma,
-        "rms_px": one.rms_px,
-        "views": views,
-        "p_value": one.chance,
-        "message": message,
-    }
+def _timing_warning(code: str, one: Delay, views: int, message: str) -> FindingDocument:
+    return FindingDocument.make(
+        code, message, time_s=one.s, u95_s=QUANTILE * one.sigma, rms_px=one.rms_px, views=views, p_value=one.chance
+    )

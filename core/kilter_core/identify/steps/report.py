@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.sparse.csgraph import connected_components
 
+from kilter_core.errors import FindingDocument
 from kilter_core.identify.carried_masses import beside_masses, describe_masses
 from kilter_core.identify.fit.least_squares import Fit
 from kilter_core.identify.fit.robust import RowErrors, set_aside
@@ -47,7 +48,7 @@ class Identification:
     repeats: Repeats
     predictive: Predictive
     null_directions: tuple[NullDirection, ...]
-    warnings: tuple[dict[str, Any], ...]
+    warnings: tuple[FindingDocument, ...]
     method: str = "least_squares"
     influence: list[dict[str, Any]] | None = None
     intervals: Intervals | None = None

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 from kilter_core.arm.robot import Robot
 from kilter_core.effects.laws import placed_later
-from kilter_core.errors import ObservationError, OptionError
+from kilter_core.errors import FindingDocument, ObservationError, OptionError
 from kilter_core.identify.carried_masses import with_masses
 from kilter_core.identify.fit.least_squares import Fit
 from kilter_core.identify.fleet_prior import FleetPrior, FleetVersion, of_its_type
@@ -49,7 +48,7 @@ class Study:
     options: IdentifyOptions
     prior: Prior | None
     points: Floats | None
-    remarks: tuple[dict[str, Any], ...] = ()
+    remarks: tuple[FindingDocument, ...] = ()
     frames: Frames | None = None
     fleet: FleetPrior | None = None
     inside: Ints | None = None
@@ -102,20 +101,20 @@ def refuse_missing_columns(begin: Calibration, train: Observations) -> None:
             )
 
 
-def _check_train(study: Study) -> Iterator[dict[str, Any]]:
+def _check_train(study: Study) -> Iterator[FindingDocument]:
     """Refuse rows to fit that lack a column or cannot be of this robot; warn of what only looks odd."""
     refuse_missing_columns(study.begin, study.train)
     yield from refuse_mixed_up(study.begin, study.train)
 
 
-def _check_validation(study: Study) -> Iterator[dict[str, Any]]:
+def _check_validation(study: Study) -> Iterator[FindingDocument]:
     """Refuse rows to hold out that are fitted too or cannot be of this robot; warn of those astray."""
     if isinstance(study.validation, Observations):
         refuse_shared_rows(study.train, study.validation, "validation")
         yield from of_held_out(refuse_mixed_up(study.begin, study.validation))
 
 
-CHECKS_BEFORE: tuple[Callable[[Study], Iterator[dict[str, Any]]], ...] = (_check_train, _check_validation)
+CHECKS_BEFORE: tuple[Callable[[Study], Iterator[FindingDocument]], ...] = (_check_train, _check_validation)
 
 
 def _lay_in_one_frame(study: Study) -> Study:

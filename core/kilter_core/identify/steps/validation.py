@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from kilter_core.errors import FindingDocument
 from kilter_core.identify.comparison import PoseErrors, elsewhere, geometry_alone
 from kilter_core.identify.fit.robust import RowErrors
 from kilter_core.identify.holdout import Folds, fold_splits, select_learned_effects
@@ -52,7 +53,7 @@ class HeldOut:
 
     @staticmethod
     def from_stages(
-        stages: Mapping[str, Calibration], unseen: Measurement, numbers: Ints, remarks: Iterable[dict[str, Any]] = ()
+        stages: Mapping[str, Calibration], unseen: Measurement, numbers: Ints, remarks: Iterable[FindingDocument] = ()
     ) -> HeldOut:
         """Errors of calibrations on rows with these ``numbers (N,)``; ``remarks`` are warnings of the poses."""
         usual = {name: stage for name, stage in stages.items() if name != GEOMETRY}

@@ -13,12 +13,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from scipy.special import fdtri
 
-from kilter_core.errors import NotConvergedError
+from kilter_core.errors import FindingDocument, NotConvergedError
 from kilter_core.identify.carried_masses import of_masses
 from kilter_core.identify.fit.least_squares import Fit, solve
 from kilter_core.identify.measured_rows import Repeats
@@ -94,22 +93,22 @@ class BeyondNoise:
         """The fit as uncertain as that: covariance times the reduced chi-square."""
         return replace(fit, covariance=fit.covariance * self.widening**2)
 
-    def warning(self, numbers: Ints | None) -> dict[str, Any]:
+    def warning(self, numbers: Ints | None) -> FindingDocument:
         """What is left, where, and what helps; ``numbers (N,)`` are those of the fitted rows among the ones given."""
         rows = (self.rows if numbers is None else numbers[self.rows]) + 1
         near = rows[self.near]
-        return {
-            "code": "more_than_stated_noise",
-            "stated_mm": mm(self.noise),
-            "left_mm": mm(self.left),
-            "factor": self.factor,
-            "widened_by": self.widening,
-            "rows": rows.tolist(),
-            "near_sign_change": near.tolist(),
-            "message": f"The fit leaves {mm(self.left):.3g} mm in a coordinate, {self.factor:.2g} times the noise of "
+        return FindingDocument.make(
+            "more_than_stated_noise",
+            f"The fit leaves {mm(self.left):.3g} mm in a coordinate, {self.factor:.2g} times the noise of "
             f"{mm(self.noise):.3g} mm that is known of the rows: the model lacks something. {self._describe_rows(rows, near)} "
             f"{self._intervals()}{self._remedy()}",
-        }
+            stated_mm=mm(self.noise),
+            left_mm=mm(self.left),
+            factor=self.factor,
+            widened_by=self.widening,
+            rows=rows.tolist(),
+            near_sign_change=near.tolist(),
+        )
 
     def _describe_rows(self, rows: Ints, near: Ints) -> str:
         listed = ", ".join(map(str, rows))

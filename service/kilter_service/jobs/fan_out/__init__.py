@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from kilter_service.jobs.fan_out.cluster import DaskCluster
-from kilter_service.jobs.fan_out.spread import FanOut, LocalProcesses
+from kilter_service.jobs.fan_out.spread import DaskCluster, FanOut, LocalProcesses
 
 __all__ = ["FanOut", "fan_out"]
 

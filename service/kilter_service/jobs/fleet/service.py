@@ -11,7 +11,7 @@ from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
-from kilter_core.errors import CoreError
+from kilter_core.errors import CoreError, FindingDocument
 from kilter_service.campaigns import store as campaigns
 from kilter_service.campaigns.store import CampaignRecord
 from kilter_service.contract.jobs.fleet import (
@@ -309,7 +309,7 @@ def compare_with_previous(
             database, job.robot_id, version.calibration, version.report, version.limits, _training(job, used), found[0]
         )
     except CoreError as error:  # the version counts without it
-        return {"warnings": [{"code": error.code, "message": error.message}]}
+        return {"warnings": [FindingDocument.make(error.code, error.message)]}
     return {
         "compared": None if verdict.compared is None else verdict.compared.model_dump(mode="json"),
         "objections": [one.model_dump(mode="json") for one in verdict.objections],

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kilter_core.errors import CoreError, ObservationError, OptionError
+from kilter_core.errors import CoreError, FindingDocument, ObservationError, OptionError
 from kilter_service.contract.jobs.drift import DRIFT, DriftOptions
 from kilter_service.ground.core import core_identify, core_measurement, core_watch
 from kilter_service.ground.wire import to_mm
@@ -218,26 +218,26 @@ def _rows(job: JobInput, rows: Observations, found: Check) -> _Drawn | None:
     return _Drawn(documents, {name: np.linalg.norm(one, axis=1).tolist() for name, one in left.items()})
 
 
-def _warnings(job: JobInput, known: Predictive) -> Iterator[dict[str, Any]]:
+def _warnings(job: JobInput, known: Predictive) -> Iterator[FindingDocument]:
     yield from _of_dates(job)
     unknown = np.flatnonzero(_unknown_sides(job)) + 1
     if len(unknown):
         named = f"row{'s' if len(unknown) > 1 else ''} {', '.join(str(row) for row in unknown[:MOST_ROWS])}"
         said = f"Not counted: {named}. From which side joints with backlash came to them is not known."
         remedy = "Drive to one pose more before the first."
-        yield {"code": "side_unknown", "message": f"{said} {remedy}", "campaigns": list(job.campaigns)}
+        yield FindingDocument.make("side_unknown", f"{said} {remedy}", campaigns=list(job.campaigns))
     other = remark(job, known)
     if other is not None:
         yield other
 
 
-def _of_dates(job: JobInput) -> Iterator[dict[str, Any]]:
+def _of_dates(job: JobInput) -> Iterator[FindingDocument]:
     """Say that rows are dated before what they should come after: a clock that was set back puts a check in another place."""
     dates, (campaign,) = job.fit.dates, job.campaigns
     at = dates.rows
     for code, other in (("dated_before_last_check", dates.last_check), ("dated_before_fit", dates.fitted)):
         if at is not None and other is not None and at < other:
-            yield {"code": code, "message": wire.dated_before(code, campaign, at, other), "campaigns": [campaign]}
+            yield FindingDocument.make(code, wire.dated_before(code, campaign, at, other), campaigns=[campaign])
 
 
 def _errors(job: JobInput, rows: Observations, known: Predictive, found: Check) -> dict[str, Any]:

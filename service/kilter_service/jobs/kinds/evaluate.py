@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from kilter_core.errors import OptionError
+from kilter_core.errors import FindingDocument, OptionError
 from kilter_service.contract.fits import with_earlier_names
 from kilter_service.contract.jobs.evaluate import EVALUATE, EvaluateOptions
 from kilter_service.ground.core import core_evaluate, core_identify, core_model
@@ -63,14 +63,14 @@ def _criteria(commanded: Calibration, rows: Observations, asked: Any) -> dict[st
     return core_evaluate.criteria(core_evaluate.Trial.from_observations(commanded.predict(rows), rows), asked)
 
 
-def _flattering(fitted: int, rows: int) -> list[dict[str, Any]]:
+def _flattering(fitted: int, rows: int) -> list[FindingDocument]:
     if not fitted:
         return []
     said = (
         f"The version was fitted to {fitted} of these {rows} rows, in whatever file they came: their errors are smaller than "
         "elsewhere, and count as no number of today. Measure some poses that are only checked."
     )
-    return [{"code": "rows_fitted", "message": said}]
+    return [FindingDocument.make("rows_fitted", said)]
 
 
 def preview_job(job: JobInput, found: JobPreview) -> None:

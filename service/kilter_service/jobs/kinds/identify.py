@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kilter_core.errors import ObservationError, OptionError
+from kilter_core.errors import FindingDocument, ObservationError, OptionError
 from kilter_core.observations import Observations, refuse_shared_rows
 from kilter_core.types import run_sequentially
 from kilter_service.campaigns.store import renumber_poses_and_sessions
@@ -179,7 +179,7 @@ KIND = JobKind(IDENTIFY, run, check, preview_job=preview_job, describe_preview=d
 
 def doubts(
     robot: Robot, campaigns: Iterable[tuple[str, Observations]], devices: dict[str, str], option: object
-) -> list[dict[str, Any]]:
+) -> list[FindingDocument]:
     """Warnings about the order of the quarter points of every drawn sheet.
 
     Raises:
@@ -197,7 +197,7 @@ def doubts(
 
 def bar_lengths(
     found: Identification, robot: Robot, campaigns: Iterable[tuple[str, Observations]], again: Again
-) -> list[dict[str, Any]]:
+) -> list[FindingDocument]:
     """Warnings about ball bars of another length than was read, after the fit: the nominal arm only raises the question.
 
     ``again(campaign, rows)`` is the same identification with other rows of a campaign, None of one that was not fitted.
@@ -216,15 +216,15 @@ def bar_lengths(
     return out
 
 
-def _other_length(campaign: str, bar: int, read: float, found: float) -> dict[str, Any]:
-    return {
-        "code": "bar_length_doubtful",
-        "message": f"{campaign}: bar {bar} reads {to_mm(read):.3f} mm, but the joints put the tool {to_mm(found):.3f} mm "
+def _other_length(campaign: str, bar: int, read: float, found: float) -> FindingDocument:
+    return FindingDocument.make(
+        "bar_length_doubtful",
+        f"{campaign}: bar {bar} reads {to_mm(read):.3f} mm, but the joints put the tool {to_mm(found):.3f} mm "
         f"from the ball at its fixed end ({found / read:.4g} times), and the rows fit that length better. Is the stated "
         "nominal length wrong? Give the right one (kilter measure ballbar-join --radius-mm, or the line above the "
         "log) and upload "
         "again.",
-    }
+    )
 
 
 def _sheets(rows: Observations) -> Iterator[tuple[int | None, Observations]]:
@@ -235,7 +235,7 @@ def _sheets(rows: Observations) -> Iterator[tuple[int | None, Observations]]:
         yield int(session), rows.select(rows.session == session)
 
 
-def _check_sheet_orders(robot: Robot, drawn: list[tuple[str, Observations]]) -> Iterator[dict[str, Any]]:
+def _check_sheet_orders(robot: Robot, drawn: list[tuple[str, Observations]]) -> Iterator[FindingDocument]:
     """Judge all sheets together: they are of one arm, and an order that helps one of them must not spoil another."""
     for (name, _), found in zip(drawn, core_identify.sheet_orders(robot, [sheet for _, sheet in drawn]), strict=True):
         if found is None:
@@ -248,7 +248,7 @@ def _check_sheet_orders(robot: Robot, drawn: list[tuple[str, Observations]]) -> 
                 order=list(found.order),
             )
         if found.doubtful or found.unseen:
-            yield {"code": "sheet_order_doubtful", "message": _doubt(name, found)}
+            yield FindingDocument.make("sheet_order_doubtful", _doubt(name, found))
 
 
 def _doubt(name: str, found: SheetOrder) -> str:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kilter_core.errors import OptionError
+from kilter_core.errors import FindingDocument, OptionError
 from kilter_core.observations import Observations
 from kilter_service.campaigns.store import renumber_poses_and_sessions
 from kilter_service.contract.jobs.joint_parameters import JOINT_PARAMETERS
@@ -143,20 +143,18 @@ def _spreads(robot: Robot, joint: LinkJoint, fitted: list[str], predicted: list[
 
 def _dead(robot: Robot, joint: LinkJoint) -> dict[str, str]:
     code = "dead_encoder" if "dead" in str(joint.dead) else "joint_never_moves"
-    return {
-        "code": code,
-        "joint": robot.joints[joint.joint].name,
-        "message": f"Nothing is known of this joint: {joint.dead}.",
-    }
+    return FindingDocument.make(
+        code, f"Nothing is known of this joint: {joint.dead}.", joint=robot.joints[joint.joint].name
+    )
 
 
 def _at_the_tool(name: str) -> dict[str, str]:
-    return {
-        "code": "joint_without_gravity",
-        "joint": name,
-        "message": f"Gravity exerts no moment about joint {name}, so no inclinometer can measure its backlash and stiffness: "
+    return FindingDocument.make(
+        "joint_without_gravity",
+        f"Gravity exerts no moment about joint {name}, so no inclinometer can measure its backlash and stiffness: "
         "measure tool positions reached from both sides, and under a sideways force, and identify them (thesis 4.4.1).",
-    }
+        joint=name,
+    )
 
 
 def _joint(robot: Robot, name: str) -> int:

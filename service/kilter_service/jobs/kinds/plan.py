@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kilter_core.errors import OptionError
+from kilter_core.errors import FindingDocument, OptionError
 from kilter_core.observations import Observations
 from kilter_service.campaigns.store import renumber_poses_and_sessions
 from kilter_service.contract.jobs.plan import PLAN, PlanOptions
@@ -26,10 +26,10 @@ if TYPE_CHECKING:
     from kilter_core.types import Floats
 
 
-UNCHECKED = {
-    "code": "collisions_not_checked",
-    "message": "Collisions are not checked: drive the poses slowly once, or simulate them, before you measure.",
-}
+UNCHECKED = FindingDocument.make(
+    "collisions_not_checked",
+    "Collisions are not checked: drive the poses slowly once, or simulate them, before you measure.",
+)
 CYCLES = {"five_poses": (5, 4, 3, 2, 1), "two_poses": (2, 4)}  # P5 to P1 for AP, RP and vAP; P2 and P4 for AD and RD
 CYCLES_DEMANDED = 30
 COUNTS = {"iso9283": 118, "identify": 60, "separate": 12, "check": 5}

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kilter_core.errors import FindingDocument
 from kilter_service.contract.jobs.rezero import REZERO, RezeroOptions
 from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.ground.core import core_evaluate, core_identify, core_watch
@@ -32,7 +33,7 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
     ((campaign, rows),) = job.campaigns.items()
     report = _report(job, found)
     said = wire.rezero_sentence(found, job.version_id or "", len(rows), job.names.get(campaign, campaign))
-    remark = {"code": REZEROED, "message": said, "campaigns": [campaign]}
+    remark = FindingDocument.make(REZEROED, said, campaigns=[campaign])
     report |= {"warnings": [remark], REZEROED: {"campaign": campaign, "start": job.version_id, "names": found.names}}
     own = [row for row in report["parameters"] if row["name"] in found.names]
     result = {

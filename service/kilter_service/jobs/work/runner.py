@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from kilter_core.errors import CancelledError, CoreError
+from kilter_core.errors import CancelledError, CoreError, FindingDocument
 from kilter_core.observations import evenly
 from kilter_service.contract.jobs.drift import DriftResult
 from kilter_service.contract.today import ControlChart, DriftHistory
@@ -67,8 +67,8 @@ def with_set_up_warning(kind: str, output: JobOutput, job: JobInput) -> JobOutpu
         change = core_identify.set_up_change(calibration, list(parts.values()))
         if change is not None:
             said = _sentence(change, words, ", ".join(job.names.get(c, c) for c in campaigns))
-            remark: dict[str, Any] = {"code": "set_up_changed", "message": said, "campaigns": list(campaigns)}
-            return output.with_warnings({**remark, "refit": list(change.which), "moved_mm": to_mm(change.moved)})
+            about = {"campaigns": list(campaigns), "refit": list(change.which), "moved_mm": to_mm(change.moved)}
+            return output.with_warnings(FindingDocument.make("set_up_changed", said, **about))
     return output
 
 
@@ -104,7 +104,7 @@ def with_clock_warnings(output: JobOutput, job: JobInput) -> JobOutput:
 
 def clock_remarks(
     calibration: core_model.Calibration, rows: dict[str, Observations], names: dict[str, str]
-) -> list[dict[str, Any]]:
+) -> list[FindingDocument]:
     """Return which laws of a version each campaign does without, the campaigns of one reason together."""
     found: dict[tuple[str, ...], tuple[Finding, list[str]]] = {}
     for campaign, seen in rows.items():
@@ -112,11 +112,12 @@ def clock_remarks(
             reason = (one.code, one.only_said["laws"], one.only_said["steps"])
             found.setdefault(reason, (one, []))[1].append(campaign)
     return [
-        {
-            **one.to_document(core_effects.SENTENCES),
-            "campaigns": campaigns,
-            "message": f"{', '.join(names.get(c, c) for c in campaigns)}: {one.message(core_effects.SENTENCES)}",
-        }
+        FindingDocument.make(
+            one.code,
+            f"{', '.join(names.get(c, c) for c in campaigns)}: {one.message(core_effects.SENTENCES)}",
+            **one.context,
+            campaigns=campaigns,
+        )
         for one, campaigns in found.values()
     ]
 
@@ -140,7 +141,7 @@ def with_ability_warning(output: JobOutput, job: JobInput) -> JobOutput:
         objection = ability.of_poses(calibration, found, version.limits)
     except (CoreError, ArithmeticError, ValueError):  # activation says so
         return output
-    return output if objection is None else output.with_warnings(objection.model_dump())
+    return output if objection is None else output.with_warnings(FindingDocument.make(**objection.model_dump()))
 
 
 NEEDED = "direction"
@@ -155,7 +156,7 @@ def with_direction_warning(kind: str, output: JobOutput, job: JobInput) -> JobOu
     said = (
         f"{names}: directions were derived from the order of the rows. State dir1 ... where another order was driven."
     )
-    return output.with_warnings({"code": "directions_derived", "message": said, "campaigns": derived})
+    return output.with_warnings(FindingDocument.make("directions_derived", said, campaigns=derived))
 
 
 def _follows_directions(output: JobOutput, job: JobInput) -> bool:
@@ -216,11 +217,7 @@ def with_certificate_warnings(output: JobOutput, job: JobInput) -> JobOutput:
     """Add to result and version what the certificates of the instruments have against the campaigns."""
     return output.with_warnings(
         *(
-            {
-                "code": one.code,
-                "message": f"{job.names.get(campaign, campaign)}: {one.message}",
-                "campaigns": [campaign],
-            }
+            FindingDocument.make(one.code, f"{job.names.get(campaign, campaign)}: {one.message}", campaigns=[campaign])
             for campaign, remarks in job.certificates.items()
             for one in remarks
         )

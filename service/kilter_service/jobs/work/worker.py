@@ -9,7 +9,6 @@ import fcntl
 import logging
 import os
 import re
-import signal
 import socket
 import threading
 import time
@@ -23,6 +22,7 @@ from typing import Any
 from kilter_core.errors import CoreError
 from kilter_service.ground.backup_folder import wait_for_migration
 from kilter_service.ground.caller import on_behalf
+from kilter_service.ground.child_process import stop_event
 from kilter_service.ground.db import Database, DatabaseAwayError, revision
 from kilter_service.ground.db.database import Lookout
 from kilter_service.ground.db.failures import in_words, log_failure
@@ -180,9 +180,7 @@ def run(settings: Settings) -> None:
 
     """
     set_out_of_memory_score(ENDS_BEFORE)
-    stop = threading.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: stop.set())
+    stop = stop_event()
     wait_for_migration(settings.data)
     database = Database(settings.database)
     with alone(settings):

@@ -24,7 +24,7 @@ from kilter_service.page.shared import errors_drawn
 from kilter_service.page.shared.lists import Asked, Part, select_page
 from kilter_service.page.shared.naming import in_names, objections_in_names, of_a_mass, parameter_rows
 from kilter_service.page.shared.standing import Accuracy, accuracy_from_metrics
-from kilter_service.page.versions import by_factor, comparison
+from kilter_service.page.versions import comparison
 from kilter_service.page.versions import comparison as looking_ahead
 from kilter_service.page.versions.comparison import REFUSED
 from kilter_service.page.words import bare, in_columns, largest, percent, unit
@@ -271,7 +271,7 @@ def factors(
     campaign: Annotated[list[str] | None, Query()] = None,
 ) -> HTMLResponse:
     """Show what a version leaves of rows by joint, direction, load and time."""
-    return render(request, "versions/by_factor.html", figures=by_factor.figures(database, version, campaign or []))
+    return render(request, "versions/by_factor.html", figures=comparison.figures(database, version, campaign or []))
 
 
 @router.get("/versions/{version}/activation")

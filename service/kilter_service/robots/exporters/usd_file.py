@@ -1,6 +1,7 @@
 """A version as USD: calibrated joints, drives that deflect as the joints do, and attributes for the rest.
 
 The stage is made in a process of its own: Pixar's package and its caches stay with whoever loads them, 90 MB.
+It is started as ``python -m kilter_service.robots.exporters.usd_file``, in a folder with what is asked.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from kilter_core.model import wanted_tool
 from kilter_core.transforms import inverse, pose_from_twist
 from kilter_files.robots import NOMINAL, STEP_TABLE, TOOL, local_pose, single, split, usd_package
 from kilter_service.ground import child_process
-from kilter_service.ground.child_process import Limits
+from kilter_service.ground.child_process import Limits, confine
 from kilter_service.ground.errors import ServiceError
 from kilter_service.robots.exporters.exportable import Exportable, Written
 from kilter_service.robots.exporters.mjcf_file import LEAST_INERTIA, identified_axes, nominal_poses, possible, thickness
@@ -40,7 +41,8 @@ if TYPE_CHECKING:
     from kilter_core.model import Calibration
     from kilter_core.types import Floats
 
-CHILD = "kilter_service.robots.exporters.usd_child"
+
+CHILD = "kilter_service.robots.exporters.usd_file"
 ASKED, MADE = "asked", "made.usda"
 LIMITS = Limits(seconds=60, memory_mb=3072, output_mb=64)
 KERNELS = ("NUMBA_CACHE_DIR",)
@@ -285,3 +287,14 @@ class Stage:
         rod.AddTranslateOp().Set(self.pxr.Gf.Vec3d(*(0.5 * T[:3, 3]).tolist()))
         rod.AddOrientOp(self.pxr.UsdGeom.XformOp.PrecisionDouble).Set(turn)
         rod.CreateDisplayColorAttr([self.pxr.Gf.Vec3f(0.6, 0.65, 0.7)])
+
+
+def main() -> None:
+    """Write the stage as text."""
+    confine()
+    version, documentation = pickle.loads(Path(ASKED).read_bytes())  # noqa: S301 (our own)
+    Path(MADE).write_text(stage_text(version, documentation), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,4 +1,7 @@
-"""The whole database as rows: checked by their hashes, and copied table by table."""
+"""The whole database as rows: checked by their hashes, and copied table by table.
+
+When something was stored last.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,7 @@ import hashlib
 import sqlite3
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from datetime import datetime
 from functools import partial
 from typing import Any
 
@@ -21,7 +25,16 @@ from kilter_service.ground.db.revision import schema_altered
 from kilter_service.ground.db.row import Row
 from kilter_service.ground.db.sealed import in_parts
 from kilter_service.ground.db.seals import DatabaseSealRow, Sealer, SealRow
-from kilter_service.ground.db.tables import CampaignRow, ChunkRow, MeshRow, RobotRow, UploadRow, VersionRow
+from kilter_service.ground.db.tables import (
+    ActivationRow,
+    CampaignRow,
+    ChunkRow,
+    JobRow,
+    MeshRow,
+    RobotRow,
+    UploadRow,
+    VersionRow,
+)
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.naming import plural
 from kilter_service.robots.documents import hash_canonical_json, source_sha256
@@ -326,3 +339,11 @@ def _go_on_numbering(connection: Connection) -> None:
         if last is not None:
             name = {"t": table.name, "c": column.name, "last": last}
             connection.execute(text("SELECT setval(pg_get_serial_sequence(:t, :c), :last)"), name)
+
+
+def latest_stored_time(database: Database) -> datetime | None:
+    """Return the latest time that something says it was stored at."""
+    columns = (RobotRow.created_at, CampaignRow.created_at, JobRow.created_at, VersionRow.created_at, ActivationRow.at)
+    with database.reading() as session:
+        found = [session.execute(select(func.max(column))).scalar_one() for column in columns]
+    return max((moment for moment in found if moment is not None), default=None)

@@ -23,8 +23,8 @@ from kilter_service.ground.db.failures import in_words
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.private_files import UMASK
 from kilter_service.ground.settings import DATABASE_FILE, JOBS_FILE, TOKEN_FILE, Settings
+from kilter_service.run.backup import store
 from kilter_service.run.backup.service import verify_stored
-from kilter_service.run.doctor import store
 from kilter_service.stream.corrector.fast_path import is_fast_path_compiled
 
 LEAST_FREE_MB = 1024
@@ -145,10 +145,10 @@ def clock(settings: Settings) -> tuple[bool, str]:
         return _wrong(f"it is {now:%Y-%m-%d} by the clock of this machine: {remedy}")
     if settings.database_url is not None or (settings.data / DATABASE_FILE).exists():
         with _open_database(settings) as opened:
-            newest = store.newest(opened) if revision.current(opened) == revision.HEAD else None
-        if newest is not None and newest > now + AHEAD:
+            last = store.latest_stored_time(opened) if revision.current(opened) == revision.HEAD else None
+        if last is not None and last > now + AHEAD:
             return _wrong(
-                f"it is {now:%Y-%m-%d %H:%M} UTC, and something was stored at {newest:%Y-%m-%d %H:%M}: {remedy}"
+                f"it is {now:%Y-%m-%d %H:%M} UTC, and something was stored at {last:%Y-%m-%d %H:%M}: {remedy}"
             )
     return _ok(f"{now:%Y-%m-%d %H:%M} UTC")
 

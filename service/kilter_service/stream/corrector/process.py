@@ -11,17 +11,14 @@ import logging
 import os
 import secrets
 import select
-import signal
-import threading
 from collections.abc import Callable, Hashable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
-from kilter_service.ground.child_process import running
+from kilter_service.ground.child_process import running, stop_event
 from kilter_service.ground.correction_limits import sentence
 from kilter_service.ground.db.failures import Failing
 from kilter_service.ground.errors import ServiceError
@@ -262,13 +259,7 @@ class Corrector:
 
 def run(settings: Settings, deserted: Callable[[], bool] = lambda: False) -> None:
     """Correct until SIGTERM or Ctrl-C; the stream goes on alone when whoever started this process was killed (``deserted``)."""
-    stopped = threading.Event()
-
-    def stop(_signal: int, _frame: FrameType | None) -> None:
-        stopped.set()
-
-    signal.signal(signal.SIGTERM, stop)
-    signal.signal(signal.SIGINT, stop)
+    stopped = stop_event()
     corrector = Corrector(
         settings, DatabaseSource(settings.database, settings.temperature_c, settings.data), stopped=stopped.is_set
     )

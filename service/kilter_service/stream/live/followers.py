@@ -1,4 +1,7 @@
-"""Streams as server-sent events: one task and one zenoh session for all who look, and none when nobody does."""
+"""Streams as server-sent events: one task and one zenoh session for all who look, and none when nobody does.
+
+Beside it what is known of them at this moment, without waiting for news.
+"""
 
 from __future__ import annotations
 
@@ -19,8 +22,8 @@ from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.settings import Settings
 from kilter_service.stream import store
 from kilter_service.stream.corrector.endpoints import robot_from_key, stream_from_key
-from kilter_service.stream.live.heard import Heard, Reach, RobotShown, bypass
-from kilter_service.stream.live.session import LiveSession, Message, open_or_reuse_session
+from kilter_service.stream.live.heard import Heard, Reach, RobotShown, Second, bypass
+from kilter_service.stream.live.session import LiveSession, Message, open_or_reuse_session, read_corrector_place
 from kilter_service.stream.signing.masters import Masters, load_masters
 
 log = logging.getLogger("kilter.api")
@@ -211,3 +214,41 @@ def get_viewers(app: FastAPI) -> Viewers:
         app.state.viewers = Viewers(app.state.database, app.state.settings)
     viewers: Viewers = app.state.viewers
     return viewers
+
+
+def load_minutes(database: Database, robot: str) -> dict[str, list[Second]]:
+    """Return the last minute of each stream of a robot, as the correctors last reported it, by the stream's name.
+
+    Raises:
+        ServiceError: no such robot.
+
+    """
+    with database.reading() as session:
+        known = store.load_robot_state(session, robot, ALIVE_S)
+    found = {}
+    for report in known.reports:
+        heard = Heard()
+        heard.take_report(report, time.time_ns(), time.monotonic())
+        found[report["stream"]] = heard.minute()
+    return found
+
+
+def load_robot_view(database: Database, settings: Settings, robot: str) -> RobotShown:
+    """Return what the corrector last said in the database, every two seconds.
+
+    Raises:
+        ServiceError: no such robot.
+
+    """
+    with database.reading() as session:
+        known = store.load_robot_state(session, robot, ALIVE_S)
+    streams = []
+    for report in known.reports:
+        heard = Heard()
+        heard.take_report(report, time.time_ns(), time.monotonic())
+        streams.append(heard.stream_view(report["stream"], time.monotonic()))
+    place = read_corrector_place(settings.corrector_file)
+    reach: Reach = "away" if not known.alive and place is None else "connecting"
+    since = place.since if place else None
+    why = bypass(reach, known.active_version, streams, known.twice)
+    return RobotShown(robot, reach, since, known.active_version, why, streams)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kilter_core.errors import CoreError
+from kilter_core.errors import CoreError, FindingDocument
 from kilter_core.observations import (
     Observations,
     is_trajectory,
@@ -321,7 +321,7 @@ class OwnError:
 
 def compare_with_active(
     new: Mapping[str, Any], rival: Mapping[str, Any], active: str
-) -> tuple[list[Objection], list[dict[str, Any]]]:
+) -> tuple[list[Objection], list[FindingDocument]]:
     """What the stored errors of a version say beside those of the active one: an objection, or a remark with both numbers.
 
     Errors of fitted rows flatter, the more so the fewer the rows: they count against the version only, and of the active
@@ -339,7 +339,7 @@ def compare_with_active(
     )
     if mine.beyond(other):
         return [Objection(code=CODE, message=message + REMEDY)], []
-    return [], [{"code": COMPARED, "message": message}]
+    return [], [FindingDocument.make(COMPARED, message)]
 
 
 def larger(now: Mapping[str, Any], before: Mapping[str, Any]) -> float | None:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from os import PathLike, fspath
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal
 
 from kilter_client import typed
 from kilter_client.errors import UsageError
@@ -17,6 +18,8 @@ from kilter_client.verbs.inputs import Data, ResourceReference, parse_time, prep
 
 if TYPE_CHECKING:
     from datetime import date, datetime
+
+    from kilter_files.robots import Described
 
 
 Compensation = Literal["none", "factory", "kilter", "unknown"]
@@ -59,7 +62,8 @@ def add_robot(
         RobotError: it cannot be an arm; ConflictError: another robot has that name.
 
     """
-    document = _document(source, preset, name, _Described(convention, base_link, tip_link, model, turned, follows))
+    given = files_robots.Described(name, base_link, tip_link, convention, model, turned, follows)
+    document = _document(source, preset, given)
     if controller_compensation is not None:
         document = {**document, "controller_compensation": controller_compensation}
     return typed.robots.RobotReport.read((yield from calls.add(document)))
@@ -120,8 +124,8 @@ def check_robot(
         FileError: the file is not what it should be; RobotError: it cannot be an arm.
 
     """
-    given = _Described(convention, base_link, tip_link, model, turned, follows)
-    return typed.robots.RobotCheck.read((yield from calls.check(_document(source, preset, name or "unnamed", given))))
+    given = files_robots.Described(name or "unnamed", base_link, tip_link, convention, model, turned, follows)
+    return typed.robots.RobotCheck.read((yield from calls.check(_document(source, preset, given))))
 
 
 def convert_robot(source: str | PathLike[str] | Mapping[str, Any], to: str) -> Steps[dict[str, Any]]:
@@ -135,7 +139,7 @@ def convert_robot(source: str | PathLike[str] | Mapping[str, Any], to: str) -> S
         FileError: the file is not what it should be; RobotError: it cannot be an arm, or not be written like this.
 
     """
-    return (yield from calls.convert(_document(source, None, None, _Described()), to))
+    return (yield from calls.convert(_document(source, None, files_robots.Described()), to))
 
 
 def today(robot: ResourceReference) -> Steps[typed.server.Today]:
@@ -274,36 +278,22 @@ def find_frame(points: Mapping[str, Any]) -> Steps[typed.robots.Frame]:
     return typed.robots.Frame.read((yield from calls.frame(points)))
 
 
-class _Described(NamedTuple):
-    """What a file does not say itself."""
-
-    convention: str | None = None
-    base_link: str | None = None
-    tip_link: str | None = None
-    model: str | None = None
-    turned: Sequence[str] = ()
-    follows: Sequence[str] = ()
-
-
 def _document(
-    source: str | PathLike[str] | Mapping[str, Any] | None, preset: str | None, name: str | None, given: _Described
+    source: str | PathLike[str] | Mapping[str, Any] | None, preset: str | None, given: Described
 ) -> Mapping[str, Any]:
     """Return the document of a robot, whatever it is given by."""
     if (source is None) == (preset is None):
         raise UsageError("A robot is given either by source (a path or a document) or by preset=.")
     if preset is not None:
-        if given != _Described():
+        if replace(given, name=None) != files_robots.Described():
             raise UsageError(
                 "A preset is complete: base_link= and tip_link= belong to a URDF, the others to other files. Write it as a "
                 "document (k.convert_robot) to change it."
             )
-        return {"name": name or preset, "convention": "preset", "preset": preset}
-    described = files_robots.Described(
-        name, given.base_link, given.tip_link, given.convention, given.model, given.turned, given.follows
-    )
+        return {"name": given.name or preset, "convention": "preset", "preset": preset}
     if isinstance(source, Mapping):
-        return files_robots.described_document(source, described)
-    return files_robots.read_robot(Path(fspath(source or "")), described)
+        return files_robots.described_document(source, given)
+    return files_robots.read_robot(Path(fspath(source or "")), given)
 
 
 def robot(name: ResourceReference) -> Steps[typed.robots.RobotReport]:

@@ -65,7 +65,7 @@ def activate(
 
     """
     return typed.versions.ActivatedVersion.read(
-        (yield from calls.activate(reference("version", version), force, reason, robot))
+        (yield from calls.activate(reference("version", version), force=force, reason=reason, robot=robot))
     )
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2, f
 
+from kilter_core.errors import FindingDocument
 from kilter_core.gap.noise.from_repeats import WITHIN
 from kilter_core.gap.search.events import fitted_away
 from kilter_core.gap.search.linear.linearized import LinearizedProblem
@@ -72,19 +73,19 @@ class Adequacy:
             return "Whether something else remains is not known: the noise is not known apart from the fit."
         return f"Something else remains{left}." if not self.adequate else "The model as a whole agrees with the rows."
 
-    def warnings(self) -> tuple[dict[str, Any], ...]:
+    def warnings(self) -> tuple[FindingDocument, ...]:
         """What to know before trusting the noise."""
         if not self.too_large:
             return ()
         ratio = float(np.sqrt(max(self.lack_of_fit, 0.0)))
         return (
-            {
-                "code": "noise_too_large",
-                "ratio": ratio,
-                "message": f"What is left is {ratio:.2f} times the noise, less than noise of that size leaves: the repeats "
+            FindingDocument.make(
+                "noise_too_large",
+                f"What is left is {ratio:.2f} times the noise, less than noise of that size leaves: the repeats "
                 "drifted or were disturbed, or a stated sigma is too large. No claim rests on the size of this noise. "
                 "Repeat ten poses with one other pose in between, or state the sigma of the instrument.",
-            },
+                ratio=ratio,
+            ),
         )
 
     def to_document(self) -> dict[str, Any]:

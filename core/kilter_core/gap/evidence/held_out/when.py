@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from kilter_core.effects import Effect
-from kilter_core.errors import Finding
+from kilter_core.errors import Finding, FindingDocument
 from kilter_core.gap.evidence.fits.final_fit import final_effect_amounts
 from kilter_core.gap.evidence.held_out.held_out_errors import on_rows
 from kilter_core.gap.evidence.held_out.practical_size import moves_u95_mm
@@ -145,7 +145,7 @@ def event_findings(
     whens: tuple[When, ...],
     likely_only: Collection[int],
     by_views: bool,
-    of_fit: Sequence[dict[str, Any]],
+    of_fit: Sequence[FindingDocument],
 ) -> Iterator[Finding]:
     """Say when what happened, and what to do about it; those that are ``likely_only`` may have.
 
@@ -177,7 +177,7 @@ def event_findings(
         )
 
 
-def describe_moved_part(step: Mapping[str, Any], of_fit: Sequence[dict[str, Any]]) -> dict[str, Any]:
+def describe_moved_part(step: Mapping[str, Any], of_fit: Sequence[FindingDocument]) -> dict[str, Any]:
     """Return the camera or board whose move a step of base or tool, which rotates as a frame does, may be; else nothing."""
     if step["rotated_deg"] is None:
         return {}
@@ -188,7 +188,7 @@ def describe_moved_part(step: Mapping[str, Any], of_fit: Sequence[dict[str, Any]
     return {}
 
 
-def not_said_by(findings: Sequence[Mapping[str, Any]], of_fit: Sequence[dict[str, Any]]) -> Iterator[dict[str, Any]]:
+def not_said_by(findings: Sequence[Mapping[str, Any]], of_fit: Sequence[FindingDocument]) -> Iterator[FindingDocument]:
     """Remarks of a fit without those on a camera or board whose move the search names."""
     named = {(one["part"], one["name"]) for one in findings if one["code"] == "moved_once" and "part" in one}
     for one in of_fit:

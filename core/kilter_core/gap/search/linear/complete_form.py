@@ -9,12 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.stats import f
 
 from kilter_core.arm.chain import Axis, Element
+from kilter_core.errors import FindingDocument
 from kilter_core.gap.search.linear.linearized import LinearizedProblem
 from kilter_core.parameters import degrees
 from kilter_core.types import Floats
@@ -82,15 +82,15 @@ def incomplete_sentence(found: Sequence[MissingDirection]) -> str:
     return f" But the robot's description lacks {words}, which explains the rows at least as well."
 
 
-def incomplete_warnings(found: Sequence[MissingDirection]) -> Iterator[dict[str, Any]]:
+def incomplete_warnings(found: Sequence[MissingDirection]) -> Iterator[FindingDocument]:
     """Say which rotation of which axis the description lacks, before an effect is believed."""
     if found:
-        yield {
-            "code": "geometry_incomplete",
-            "message": f"The description of the robot lacks {', '.join(d.words() for d in found)}, which explains the rows at "
+        yield FindingDocument.make(
+            "geometry_incomplete",
+            f"The description of the robot lacks {', '.join(d.words() for d in found)}, which explains the rows at "
             "least as well as any effect: describe the robot with a complete chain (convention poe, cpc or mcpc), and "
             "search again before you believe an effect.",
-        }
+        )
 
 
 def _gain(column: Floats, y: Floats) -> float:

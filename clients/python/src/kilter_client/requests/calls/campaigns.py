@@ -102,13 +102,18 @@ def send(campaign_id: str, file: Prepared, sent: Sent | None = None) -> Steps[Do
 
 
 def check(
-    robot: str, file: Prepared, wanted: Mapping[str, Any] | None = None, into: str | None = None
+    robot: str, rows: Prepared, wanted: Mapping[str, Any] | None = None, into: str | None = None
 ) -> Steps[Document]:
-    """Check observations as an upload to the campaign ``wanted``, or to the one with the id ``into``; nothing is stored."""
+    """Check observations as an upload to the campaign ``wanted``, or to the one with the id ``into``; nothing is stored.
+
+    Raises:
+        ObservationError: what the upload would be refused with.
+
+    """
     path = address("robots", robot, "observations", "check")
-    content, headers = file.content, {"Content-Type": file.content_type, "Content-Digest": _digest(file.sha256)}
+    content, headers = rows.content, {"Content-Type": rows.content_type, "Content-Digest": _digest(rows.sha256)}
     if wanted is not None:
-        content, kind = _form(_drop_unstated_fields(wanted), file)
+        content, kind = _form(_drop_unstated_fields(wanted), rows)
         headers = {"Content-Type": kind, "Content-Digest": _digest(hashlib.sha256(content).hexdigest())}
     params = {} if into is None else {"campaign": into}
     asked = Request("POST", path, params=params, content=content, headers=headers, timeout_s=UPLOAD_TIMEOUT_S)

@@ -92,10 +92,19 @@ def cancel(job: str, robot: str | None = None) -> Steps[Document]:
     return (yield from post(address("jobs", found, "cancel")))
 
 
-def wait(job: str, progress: Progress | None, timeout_s: float | None, robot: str | None = None) -> Steps[Document]:
-    """Follow a job to its end and return its document, through breaks and restarts of the server.
+def wait(
+    job: str, progress: Progress | None = None, timeout_s: float | None = None, robot: str | None = None
+) -> Steps[Document]:
+    """Follow a job to its end and return its document with the result, through a restart of the server too.
 
     It is followed by its events; when they are refused, or break off before they say anything, by looking.
+
+    Raises:
+        JobFailedError: it failed; the document is the exception's ``job``.
+        JobCancelledError: it was cancelled.
+        JobTimeoutError: it goes on after ``timeout_s``.
+        ServerUnreachableError: the server gave no answer for two minutes; the job is stored there.
+
     """
     found = yield from resolve_id("job", job, robot)
     watch = Watch(found, progress, timeout_s)

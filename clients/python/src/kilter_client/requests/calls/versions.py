@@ -33,8 +33,14 @@ def preview(version: str, robot: str | None = None) -> Steps[Document]:
     return (yield from get(path))
 
 
-def activate(version: str, force: bool, reason: str, robot: str | None, if_match: str | None = None) -> Steps[Document]:
-    """Make a version the one that corrects; with ``if_match`` only from the state of that ETag."""
+def activate(
+    version: str, *, force: bool = False, reason: str = "", robot: str | None = None, if_match: str | None = None
+) -> Steps[Document]:
+    """Make a version the one that corrects, unless it predicts worse than the active one.
+
+    ``force`` activates it nevertheless; the log records this and the ``reason``. ``if_match``: only from the state of
+    that ETag.
+    """
     path = yield from place("version", version, robot, "activate")
     headers = {"If-Match": if_match} if if_match else {}
     return (yield from post(path, {"force": force, "reason": reason}, headers))
