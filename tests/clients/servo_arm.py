@@ -20,7 +20,7 @@ BODIES = (
     ("0 0 .06", "0 0 .06", 0.15, "2e-4 2e-4 5e-5"),
     ("0 0 .12", ".07 0 0", 0.18, "5e-5 3e-4 3e-4"),
 )
-PLAY = 'solreflimit="0.004 1" solimplimit="0.99 0.9999 1e-6 0.5 2"'
+PLAY = 'solreflimit="{} 1" solimplimit="0.99 0.9999 1e-6 0.5 2"'  # in twice a step, the shortest that MuJoCo takes
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ def arm_xml(servos: Servos, hidden: Hidden | None = None, timestep_s: float = 0.
         joints = f'<joint name="j{k + 1}" axis="{axis}" {own}/>'
         if hidden is not None and hidden.joint == k and hidden.effect == "backlash":
             half = 0.5 * hidden.size
-            limits = f'limited="true" range="{-half} {half}" {PLAY}'
+            limits = f'limited="true" range="{-half} {half}" {PLAY.format(2.0 * timestep_s)}'
             joints += f'<joint name="play" axis="{axis}" armature="1e-4" damping="1e-3" {limits}/>'
         if hidden is not None and hidden.joint == k and hidden.effect == "flexible_gear":
             stiff = 1.0 / hidden.size

@@ -29,6 +29,7 @@ REFITS = 12  # evaluations of a fit that starts where another ended
 PUSH, MOST_PUSHED = 30.0, 0.1  # times the usual square of a second; of all seconds
 HELD_SHARE = 1.0 / 3.0
 FEWEST_BLOCKS = 12
+LEAST_FREEDOM = 1e-6  # that a second keeps which alone says a number
 SAME = 3.0  # standard errors within which the values of two logs agree
 SAME_SHARE = 0.25  # of the value, within which they agree however sure they are
 
@@ -276,15 +277,23 @@ def _find_pushed_blocks(record: JointRecord, fit: JointFit, split: Split) -> Boo
 
 
 def covariance(record: JointRecord, fit: JointFit, rows: Bools) -> Floats:
-    """Covariance (k, k) of what was fitted, each second one observation (Liang and Zeger 1986)."""
+    """Covariance (k, k) of what was fitted, each second one observation, its residuals as a fit without it leaves them.
+
+    Few seconds say how wide backlash is: a fit follows those, so what it leaves there is too small (CR3: Bell and McCaffrey
+    2002).
+    """
     rows = rows & record.used
     count = int(rows.sum())
-    J = fit.jacobian
+    J, block = fit.jacobian, record.block[rows]
     left = fit.left[rows] / np.sqrt(count) / fit.sigma
     inverse = np.linalg.pinv(J.T @ J)
-    scores = np.zeros((int(record.block.max()) + 1, J.shape[1]))
-    np.add.at(scores, record.block[rows], J[:count] * left[:, None])
-    return np.asarray(inverse @ (scores.T @ scores) @ inverse)
+    spread = np.zeros_like(inverse)
+    for one in np.unique(block):
+        own = J[:count][block == one]
+        leverage = own.T @ own @ inverse
+        score = np.linalg.solve((1.0 + LEAST_FREEDOM) * np.eye(len(inverse)) - leverage, own.T @ left[block == one])
+        spread += np.outer(score, score)
+    return np.asarray(inverse @ spread @ inverse)
 
 
 def servo_sigmas(record: JointRecord, fit: JointFit, rows: Bools) -> dict[str, float]:
