@@ -79,6 +79,12 @@ def test_nothing_is_named_where_nothing_is_hidden_and_the_servo_is_found(tmp_pat
     assert found["effects"] == []
     assert found["verdict"] == "no_gap"
     assert found["whole_arm"]["found"]["rms_deg"] < 1.1 * NOISE_DEG
+    # nothing weighs on the first joint: its scale is that of its bodies' inertia, 5 % of the armature
+    assert [one["joints"] for one in found["warnings"] if one["code"] == "servo_scale"] == [["j1"]]
+    for one, values in zip(found["joints"][0]["servo"], (truth.armature, truth.friction), strict=False):
+        half = one["interval_high"] - one["found"]
+        assert 0.02 < half / one["found"] < 0.1
+        assert one["found"] == pytest.approx(values[0], abs=1.6 * half)
     for j, joint in enumerate(found["joints"][1:], 1):
         for one, values in zip(
             joint["servo"], (truth.armature, truth.friction, truth.damping, truth.gain), strict=True

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from kilter_client.twin.servo_gap import find_servo_gap
 from kilter_client.twin.servo_model import ServoModel, read_command_log
 from kilter_core.motion import JointRecord
 from kilter_core.motion.kernels import joint as place
@@ -67,3 +68,32 @@ def test_intervals_of_backlash_read_on_the_motor_cover(tmp_path: Path) -> None:
     assert width.max() < 3.5
     assert np.median(width) > 0.3  # nor too wide
     assert np.sqrt(np.mean(np.square(apart), axis=0)) == pytest.approx(1.0, abs=0.35)
+
+
+def carrying_arm(folder: Path, seed: int) -> tuple[Path, list[Path], Servos]:
+    """An arm in whose elbow the bodies weigh more than the motor, with its logs at 100 Hz."""
+    heavy = (
+        ("0 0 0", "0 0 .06", 1.5, "4e-3 4e-3 4e-3"),
+        ("0 0 .12", "0 0 .12", 1.2, "6e-3 6e-3 1e-3"),
+        ("0 0 .25", ".2 0 0", 1.2, "1e-3 4e-3 4e-3"),
+    )
+    own = np.random.default_rng([seed, 79]).uniform(0.7, 1.4, (4, 3))
+    usual = ((0.06, 0.05, 0.02), (0.15, 0.15, 0.06), (2.0, 1.5, 0.5), (90.0, 80.0, 25.0))
+    servos = Servos(*(tuple(np.array(one) * factor) for one, factor in zip(usual, own, strict=True)))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("tests.clients.servo_arm.BODIES", heavy)
+        logs = [folder / f"log{k}.csv" for k in range(4)]
+        for k, path in enumerate(logs):
+            record(9000 + 100 * seed + k, None, servos, 15.0, dt=0.01).write(path)
+        (folder / "arm.xml").write_text(arm_xml(Servos((0.02,) * 3, (0.0,) * 3, (0.5,) * 3, (60.0, 60.0, 30.0))))
+    return folder / "arm.xml", logs, servos
+
+
+def test_the_armature_of_a_joint_that_carries_others_is_found(tmp_path: Path) -> None:
+    model, logs, servos = carrying_arm(tmp_path, 1)
+    found, _ = find_servo_gap(model, logs)
+    assert found["effects"] == []
+    for j in (1, 2):
+        armature = found["joints"][j]["servo"][0]
+        assert armature["found"] == pytest.approx(servos.armature[j], rel=0.03)
+        assert found["joints"][j]["found"] < 1.1 * np.degrees(NOISE_RAD)

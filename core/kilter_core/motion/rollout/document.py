@@ -13,7 +13,7 @@ from kilter_core.motion.effects import prismatic_unit
 from kilter_core.motion.rollout.effects import ROLLOUT_EFFECTS, RolloutEffect
 from kilter_core.motion.rollout.find import Absorbed, RolloutReport, list_absorbed
 from kilter_core.motion.rollout.record import JointRecord
-from kilter_core.motion.rollout.search import JointFindings, JudgedEffect, covariance, servo_sigmas
+from kilter_core.motion.rollout.search import JointFindings, JudgedEffect, covariance, servo_has_own_scale, servo_sigmas
 from kilter_core.parameters import FittedNumber, draw_ranges
 from kilter_core.types import QUANTILE
 
@@ -194,6 +194,13 @@ def _list_warnings(report: RolloutReport) -> list[dict[str, Any]]:
             "Record faster motions."
         )
         found.append({"code": "servo_loose", "message": message})
+    scaled = [one.record.name for one in report.joints if not servo_has_own_scale(one)]
+    if scaled:
+        message = (
+            f"Of {', '.join(scaled)} the log says the ratios of armature, friction, damping and gain. Their scale is that "
+            "of the inertia that your model gives the bodies there: check it, or let a weight load the joint."
+        )
+        found.append({"code": "servo_scale", "message": message, "joints": scaled})
     if not report.unseen:
         message = "All rows are one episode, so no whole episode has judged. Record two more."
         found.append({"code": "one_episode", "message": message})

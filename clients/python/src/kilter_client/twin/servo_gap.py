@@ -345,8 +345,10 @@ class _Patch:
         """Set the servo of a joint, and add the effects of its fit."""
         joint = _JointPatch(self, self.arm.joints.index(record.name), record, fit)
         joint.set_servo()
-        for term in fit.terms:
-            getattr(joint, f"add_{term.effect.id}")(float(fit.p[term.effect.number.place]))
+        sizes = {term.effect.id: float(fit.p[term.effect.number.place]) for term in fit.terms}
+        for effect, size in sizes.items():
+            if size != 0.0:  # a fit may find that it is not there
+                getattr(joint, f"add_{effect}")(size)
         if joint.row:
             stated = {"actuator": joint.actuator.name, "friction": fit.values["friction"], "slip_speed": fit.slip_speed}
             self.table[record.name] = stated | joint.row
@@ -432,8 +434,6 @@ class _JointPatch:
         second.damping = _as_before(second.damping, BACKLASH_RATE * second.armature)
 
     def add_flexible_gear(self, size: float) -> None:
-        if size <= 0.0:  # as a fit that finds it rigid has it
-            return
         second = self._add_second_joint()
         second.stiffness = _as_before(second.stiffness, 1.0 / size)
         second.damping = _as_before(second.damping, self.fit.values["gear_damping"] / size)
