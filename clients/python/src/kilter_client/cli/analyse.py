@@ -286,10 +286,13 @@ def gap(
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="With --model: write 95 % ranges of what was found, and 100 draws of them together, as JSON (which is YAML).",
+            help="With --model: write ranges of what was found, and 100 draws of them together, as JSON (which is YAML).",
             dir_okay=False,
         ),
     ] = None,
+    ranges_percent: Annotated[
+        float, typer.Option(metavar="PERCENT", help="With --ranges: what they cover.", min=1.0, max=99.9)
+    ] = 95.0,
     option: MoreOptions = None,
     name: JobName = "",
     no_wait: NoWait = False,
@@ -314,6 +317,7 @@ def gap(
             norm_mode,
             column_map,
             ranges,
+            ranges_percent,
             form,
             servos,
             seed,

@@ -45,13 +45,17 @@ MISFIT = 2.0  # times the error of the search, from which the whole arm does not
 
 @dataclass(frozen=True)
 class LogOptions:
-    """Names in the model: the log's ``joints``, the ``site`` at the tool, the ``payload`` body; how the log is read."""
+    """Names in the model (the log's ``joints``, the ``site`` at the tool, the ``payload`` body), and how the log is read.
+
+    ``ranges_percent`` is what ranges of the numbers found cover.
+    """
 
     joints: Sequence[str] = ()
     site: str | None = None
     payload: str = "payload"
     hints: LogHints | None = None
     column_map: Path | None = None
+    ranges_percent: float = 95.0
 
 
 def find_servo_gap(
@@ -99,7 +103,7 @@ def find_servo_gap(
     document["notes"] = list(copy.notes)
     document["warnings"] += [*_list_dropped(read), *_compare_whole_arm(document)]
     document["refuted"] = _is_refuted(document)
-    document["ranges"] = draw_joint_ranges(report.joints, seed)
+    document["ranges"] = draw_joint_ranges(report.joints, options.ranges_percent / 100.0, seed)
     return document, copy
 
 
@@ -201,7 +205,7 @@ def replay_readings(arm: ServoModel, model: Any, episodes: Sequence[CommandEpiso
 
 
 def _run(arm: ServoModel, model: Any, one: CommandEpisode, start: Floats) -> Floats:
-    arm.hang(model, one.payload_kg)
+    arm.hang(model, one)
     data = mujoco.MjData(model)
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
     places = [int(model.joint(name).qposadr[0]) for name in arm.joints]
