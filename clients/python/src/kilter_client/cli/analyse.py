@@ -273,10 +273,10 @@ def gap(
         typer.Option("--output", "-o", help="With --model: write a copy that has what was found.", dir_okay=False),
     ] = None,
     form: Annotated[
-        Literal["mjcf", "sdf", "isaaclab", "lerobot"],
+        Literal["mjcf", "sdf", "usd", "isaaclab", "lerobot"],
         typer.Option(
             "--format",
-            help="With --output: a copy of the model, SDF, actuators of Isaac Lab, or LeRobot's calibration with found zeros.",
+            help="With --output: the model, SDF, USD, actuators of Isaac Lab, or LeRobot's calibration with found zeros.",
         ),
     ] = "mjcf",
     servos: Annotated[
