@@ -20,7 +20,7 @@ BODIES = (
     ("0 0 .06", "0 0 .06", 0.15, "2e-4 2e-4 5e-5"),
     ("0 0 .12", ".07 0 0", 0.18, "5e-5 3e-4 3e-4"),
 )
-PLAY = 'solreflimit="0.004 1" solimplimit="0.99 0.9999 1e-6 0.5 2"'
+PLAY = 'solreflimit="{} 1" solimplimit="0.99 0.9999 1e-6 0.5 2"'  # in twice a step, the shortest that MuJoCo takes
 
 
 @dataclass(frozen=True)
@@ -42,11 +42,12 @@ class Servos:
     damping: tuple[float, ...] = (0.6, 0.7, 0.4)
     gain: tuple[float, ...] = (18.0, 22.0, 15.0)
     payload_kg: float = 0.0
+    lever_m: float = 0.0  # of the payload, beyond the tool
 
     def of_joint(self, j: int) -> Servos:
         """The last joint of an arm alone, with the servo of joint ``j``."""
         own = ((each[j],) for each in (self.armature, self.friction, self.damping, self.gain))
-        return Servos(*own, payload_kg=self.payload_kg)
+        return Servos(*own, payload_kg=self.payload_kg, lever_m=self.lever_m)
 
 
 NOMINAL = Servos((0.01,) * 3, (0.0,) * 3, (0.3,) * 3, (30.0,) * 3)
@@ -60,12 +61,25 @@ class Log:
     command: Floats
     reading: Floats
     payload_kg: float = 0.0
+    lever_m: float = 0.0
 
     def write(self, path: object) -> None:
         n = self.command.shape[1]
-        names = ["t_s", "payload_kg", *(f"q{k + 1}_deg" for k in range(n)), *(f"cmd{k + 1}_deg" for k in range(n))]
+        names = [
+            "t_s",
+            "payload_kg",
+            "payload_com_x_mm",
+            *(f"q{k + 1}_deg" for k in range(n)),
+            *(f"cmd{k + 1}_deg" for k in range(n)),
+        ]
         table = np.column_stack(
-            [self.t, np.full(len(self.t), self.payload_kg), np.degrees(self.reading), np.degrees(self.command)]
+            [
+                self.t,
+                np.full(len(self.t), self.payload_kg),
+                np.full(len(self.t), 1e3 * self.lever_m),
+                np.degrees(self.reading),
+                np.degrees(self.command),
+            ]
         )
         np.savetxt(str(path), table, delimiter=",", header=",".join(names), comments="", fmt="%.9g")
 
@@ -73,7 +87,7 @@ class Log:
 def arm_xml(servos: Servos, hidden: Hidden | None = None, timestep_s: float = 0.002) -> str:
     """The arm as MJCF, with elements for hidden play or a hidden soft gear."""
     carried = max(servos.payload_kg, 1e-9)
-    load = f'<inertial pos="0 0 0" mass="{carried}" diaginertia="1e-9 1e-9 1e-9"/>'
+    load = f'<inertial pos="{servos.lever_m} 0 0" mass="{carried}" diaginertia="1e-9 1e-9 1e-9"/>'
     inner = f'<site name="tool" pos=".15 0 0"/><body name="payload" pos=".15 0 0">{load}</body>'
     count = len(servos.gain)
     for k in reversed(range(count)):
@@ -82,7 +96,7 @@ def arm_xml(servos: Servos, hidden: Hidden | None = None, timestep_s: float = 0.
         joints = f'<joint name="j{k + 1}" axis="{axis}" {own}/>'
         if hidden is not None and hidden.joint == k and hidden.effect == "backlash":
             half = 0.5 * hidden.size
-            limits = f'limited="true" range="{-half} {half}" {PLAY}'
+            limits = f'limited="true" range="{-half} {half}" {PLAY.format(2.0 * timestep_s)}'
             joints += f'<joint name="play" axis="{axis}" armature="1e-4" damping="1e-3" {limits}/>'
         if hidden is not None and hidden.joint == k and hidden.effect == "flexible_gear":
             stiff = 1.0 / hidden.size
@@ -154,4 +168,4 @@ def record(
                 past.append(torque)
                 data.qfrc_applied[dof] = past[0] - torque
             mujoco.mj_step(model, data)
-    return Log(t, command, np.round(reading / TICK_RAD) * TICK_RAD, servos.payload_kg)
+    return Log(t, command, np.round(reading / TICK_RAD) * TICK_RAD, servos.payload_kg, servos.lever_m)

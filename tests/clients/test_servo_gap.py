@@ -79,6 +79,12 @@ def test_nothing_is_named_where_nothing_is_hidden_and_the_servo_is_found(tmp_pat
     assert found["effects"] == []
     assert found["verdict"] == "no_gap"
     assert found["whole_arm"]["found"]["rms_deg"] < 1.1 * NOISE_DEG
+    # nothing weighs on the first joint: its scale is that of its bodies' inertia, 5 % of the armature
+    assert [one["joints"] for one in found["warnings"] if one["code"] == "servo_scale"] == [["j1"]]
+    for one, values in zip(found["joints"][0]["servo"], (truth.armature, truth.friction), strict=False):
+        half = one["interval_high"] - one["found"]
+        assert 0.02 < half / one["found"] < 0.1
+        assert one["found"] == pytest.approx(values[0], abs=1.6 * half)
     for j, joint in enumerate(found["joints"][1:], 1):
         for one, values in zip(
             joint["servo"], (truth.armature, truth.friction, truth.damping, truth.gain), strict=True
@@ -89,7 +95,7 @@ def test_nothing_is_named_where_nothing_is_hidden_and_the_servo_is_found(tmp_pat
 def test_a_hidden_delay_is_told_with_what_had_absorbed_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     logs = write_logs(tmp_path, Hidden("command_delay", 0, 0.05), ONE, 4)
     copy = tmp_path / "copy.xml"
-    written = ["--ranges", str(tmp_path / "ranges.json")]
+    written = ["--ranges", str(tmp_path / "ranges.json"), "--ranges-percent", "80"]
     assert run(["gap", *map(str, logs), "--model", str(write_model(tmp_path)), "-o", str(copy), *written]) == 0
     told = capsys.readouterr().out
 
@@ -102,9 +108,10 @@ def test_a_hidden_delay_is_told_with_what_had_absorbed_it(tmp_path: Path, capsys
     ranges = json.loads(text)
     assert yaml.safe_load(text) == ranges
     delay = next(one for one in ranges["parameters"] if one["name"] == "j1.command_delay_s")
-    assert delay["low"] < 0.05 < delay["high"]
+    assert ranges["level"] == 0.8
+    assert delay["low"] < delay["value"] < delay["high"]
     drawn = np.array([one["j1.command_delay_s"] for one in ranges["draws"]])
-    assert np.mean((drawn > delay["low"]) & (drawn < delay["high"])) == pytest.approx(0.95, abs=0.07)
+    assert np.mean((drawn > delay["low"]) & (drawn < delay["high"])) == pytest.approx(0.8, abs=0.12)
     assert (
         np.corrcoef(drawn, [one["j1.damping_nm_s_rad"] for one in ranges["draws"]])[0, 1] < 0.0
     )  # what one takes the other gives
@@ -120,6 +127,27 @@ def test_logs_with_other_loads_judge_what_was_found_without(tmp_path: Path) -> N
     assert [one["id"] for one in found["effects"]] == ["load_friction"]
     assert found["held_out_episodes"] == [3]
     assert found["whole_arm"]["found"]["rms_deg"] < 0.8 * found["whole_arm"]["servo_fitted"]["rms_deg"]
+
+
+def test_pendulums_of_other_masses_and_lengths_name_both_effects(tmp_path: Path) -> None:
+    """A servo on a bench, as public logs of hobby servos have it: the arm that judges has a load that no choice saw."""
+    friction = Hidden("load_friction", 0, 0.1)
+    logs = []
+    for seed, (kg, lever) in enumerate([(0.2, 0.0), (0.3, 0.05), (0.5, -0.05), (0.2, 0.0), (0.3, 0.05), (0.4, 0.03)]):
+        bench, path = replace(ONE, payload_kg=kg, lever_m=lever), tmp_path / f"log{seed}.csv"
+        log = record(10 + seed, friction, bench, 12.0)
+        # what was told came two rows, 40 ms, before it acted
+        replace(log, command=np.vstack([log.command[2:], log.command[-1:], log.command[-1:]])).write(path)
+        logs.append(path)
+    found, _ = find_servo_gap(write_model(tmp_path), logs[:5], logs[5:])
+
+    by_id = {one["id"]: one for one in found["effects"]}
+    assert set(by_id) == {"load_friction", "command_delay"}
+    assert by_id["command_delay"]["parameters"][0]["value"] == pytest.approx(40.0, abs=2.0)
+    assert by_id["load_friction"]["parameters"][0]["value"] == pytest.approx(10.0, rel=0.15)
+    assert {one["sure"] for one in found["effects"]} == {"certain"}
+    assert found["held_out_episodes"] == [5]
+    assert found["whole_arm"]["found"]["rms_deg"] < 1.15 * NOISE_DEG
 
 
 def test_of_several_models_the_log_says_which_is_nearest(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -26,6 +26,9 @@ STEADY = (
 )
 
 
+PARTS, LEAST_PART = 4, 1e-9  # of a step in which backlash opens and closes, at most, and the least that is simulated
+
+
 @compile_kernel(**ALONE)
 def _command_sum(times: Floats, sums: Floats, commands: Floats, place: int, t: float) -> tuple[float, int]:
     """Integral of the held command up to ``t``, and the row that holds there."""
@@ -98,38 +101,52 @@ def _step_compliant(
 
 
 @compile_kernel(**ALONE)
+def _move_apart(
+    p: Floats, step: float, state: Floats, A: float, M: float, tau: float, weight: float, damping: float, f: float
+) -> tuple[float, int]:
+    """Move motor and bodies that do not touch, until they do; return the time that is left then, and the side (0: none)."""
+    w = _speed_after_friction(A * state[3] + step * tau, A + step * damping, state[3], f, step, p[IMPEDANCE], p[RATE])
+    v = state[1] - step * weight / M
+    half, before, closing = 0.5 * p[BACKLASH], state[2] - state[0], step * (w - v)
+    side = 0
+    if abs(before + closing) >= half:
+        side = 1 if before + closing > 0.0 else -1
+    flown = 1.0
+    if side != 0:
+        flown = min(max((half * side - before) / closing, 0.0), 1.0) if closing * side > 0.0 else 0.0
+    state[2] += flown * step * w
+    state[3] += flown * (w - state[3])
+    state[1] += flown * (v - state[1])
+    state[0] = state[2] - half * side if side != 0 else state[0] + step * v
+    if side != 0:
+        state[1] = state[3] = (A * state[3] + M * state[1]) / (A + M)
+    return (1.0 - flown) * step, side
+
+
+@compile_kernel(**ALONE)
 def _step_with_backlash(
     p: Floats, step: float, state: Floats, side: int, M: float, tau: float, weight: float, damping: float, f: float
 ) -> int:
-    """Move motor and bodies with backlash between them; return the side on which they touch, 0 for none."""
-    q, v, motor, w = state[0], state[1], state[2], state[3]
+    """Move motor and bodies with backlash between them; return the side on which they touch, 0 for none.
+
+    A step is parted where they meet: what is read has no jump then as the width or the servo changes.
+    """
     A = max(p[ARMATURE], LEAST_ARMATURE_SHARE * M)
-    half = 0.5 * p[BACKLASH]
-    if side != 0:
-        mass = A + M
-        new = _speed_after_friction(
-            mass * v + step * (tau - weight), mass + step * damping, v, f, step, p[IMPEDANCE], p[RATE]
-        )
-        if (M * (new - v) / step + weight) * side >= 0.0:  # the motor pushes the bodies still
-            q += step * new
-            state[0], state[1], state[2], state[3] = q, new, q + half * side, new
+    mass, left = A + M, step
+    for k in range(PARTS):
+        if side != 0 and left > 0.0:
+            v = state[1]
+            new = _speed_after_friction(
+                mass * v + left * (tau - weight), mass + left * damping, v, f, left, p[IMPEDANCE], p[RATE]
+            )
+            if k == PARTS - 1 or (M * (new - v) / left + weight) * side >= 0.0:  # the motor pushes the bodies still
+                state[0] += left * new
+                state[1] = state[3] = new
+                state[2] = state[0] + 0.5 * p[BACKLASH] * side
+                return side
+        if left <= LEAST_PART * step:
             return side
-    w = _speed_after_friction(A * w + step * tau, A + step * damping, w, f, step, p[IMPEDANCE], p[RATE])
-    v -= step * weight / M
-    before = motor - q
-    apart = before + step * (w - v)
-    side = 0
-    if abs(apart) >= half:
-        side = 1 if apart > 0.0 else -1
-        together = (A * w + M * v) / (A + M)
-        closing = step * (w - v)
-        flown = min(max((half * side - before) / closing, 0.0), 1.0) if closing * side > 0.0 else 0.0  # of the step
-        motor += step * (flown * w + (1.0 - flown) * together)
-        v = w = together
-        q = motor - half * side
-    else:
-        motor, q = motor + step * w, q + step * v
-    state[0], state[1], state[2], state[3] = q, v, motor, w
+        left, side = _move_apart(p, left, state, A, M, tau, weight, damping, f)
     return side
 
 

@@ -13,7 +13,7 @@ from kilter_core.motion.effects import prismatic_unit
 from kilter_core.motion.rollout.effects import ROLLOUT_EFFECTS, RolloutEffect
 from kilter_core.motion.rollout.find import Absorbed, RolloutReport, list_absorbed
 from kilter_core.motion.rollout.record import JointRecord
-from kilter_core.motion.rollout.search import JointFindings, JudgedEffect, covariance, servo_sigmas
+from kilter_core.motion.rollout.search import JointFindings, JudgedEffect, covariance, servo_has_own_scale, servo_sigmas
 from kilter_core.parameters import FittedNumber, draw_ranges
 from kilter_core.types import QUANTILE
 
@@ -27,7 +27,6 @@ EDGE = {  # SI -> factor and unit at the edge
 OF_SLIDES = {"rad": (1e3, "mm"), "N m": (1.0, "N"), "rad/(N m)": (1e3, "mm/N")}
 SURE = {"replicated": "certain", "confirmed": "certain", "class_confirmed": "certain", "provisional": "probable"}
 LOOSE = 0.3  # of a number of the servo, that its standard error may be
-LEVEL = 0.95  # of ranges
 MUCH = 1.2  # times, from which a number that had absorbed an effect is worth saying
 
 
@@ -194,6 +193,13 @@ def _list_warnings(report: RolloutReport) -> list[dict[str, Any]]:
             "Record faster motions."
         )
         found.append({"code": "servo_loose", "message": message})
+    scaled = [one.record.name for one in report.joints if not servo_has_own_scale(one)]
+    if scaled:
+        message = (
+            f"Of {', '.join(scaled)} the log says the ratios of armature, friction, damping and gain. Their scale is that "
+            "of the inertia that your model gives the bodies there: check it, or let a weight load the joint."
+        )
+        found.append({"code": "servo_scale", "message": message, "joints": scaled})
     if not report.unseen:
         message = "All rows are one episode, so no whole episode has judged. Record two more."
         found.append({"code": "one_episode", "message": message})
@@ -210,8 +216,8 @@ def _list_warnings(report: RolloutReport) -> list[dict[str, Any]]:
     return found
 
 
-def draw_joint_ranges(joints: Sequence[JointFindings], seed: int = 0) -> dict[str, Any]:
-    """Return ranges of each number of each joint, and draws of all of them, in SI as MJCF has them.
+def draw_joint_ranges(joints: Sequence[JointFindings], level: float = 0.95, seed: int = 0) -> dict[str, Any]:
+    """Return ranges at a ``level`` of each number of each joint, and draws of all of them, in SI as MJCF has them.
 
     Numbers of one joint are drawn together, from the covariance of their fit with each second as one observation; numbers
     that cannot be negative are drawn as their logarithms. ``readings`` say within what the readings of a joint that was
@@ -227,8 +233,8 @@ def draw_joint_ranges(joints: Sequence[JointFindings], seed: int = 0) -> dict[st
         scales = np.where([number.scale == "log" for number in fit.fitted], 1.0, fit.scales)
         spreads.append(covariance(record, fit, found.split.train) * np.outer(scales, scales))
         left = np.abs(fit.left[found.split.held & record.used])
-        readings[_name_in_joint(record, "reading_within", "rad").key] = float(np.quantile(left, LEVEL))
-    return draw_ranges(numbers, np.asarray(block_diag(*spreads)), LEVEL, seed=seed) | {"readings": readings}
+        readings[_name_in_joint(record, "reading_within", "rad").key] = float(np.quantile(left, level))
+    return draw_ranges(numbers, np.asarray(block_diag(*spreads)), level, seed=seed) | {"readings": readings}
 
 
 def _name_in_joint(record: JointRecord, name: str, unit: str) -> FittedNumber:

@@ -18,8 +18,8 @@ class Number:
     """A number of a joint: its ``place`` in the kernel, its unit, the values that physics allows, and values to start from.
 
     Starts are in multiples of the joint's own ``scale``: ``s`` (1), ``rad`` (1), ``torque`` (its usual torque), ``share`` (1),
-    ``rad/torque`` (a radian under its usual torque). A derivative is taken over ``difference`` at least: what comes and goes
-    within a step of the simulation has none over less.
+    ``rad/torque`` (a radian under its usual torque). A derivative is taken over ``difference`` at least: readings
+    bend as backlash opens a step earlier, and over less a fit stops at such a bend.
     """
 
     name: str
@@ -97,7 +97,7 @@ ROLLOUT_EFFECTS = (
         "backlash",
         "backlash between motor and bodies",
         PLAY,
-        Number("width", place.BACKLASH, "rad", "rad", (0.005, 0.015, 0.03), 0.0, 0.2, 5e-4),
+        Number("width", place.BACKLASH, "rad", "rad", (0.005, 0.015, 0.03), 0.0, 0.2, 1.5e-4),
         1e-3,
         SIDES,
         element="second joint",

@@ -11,7 +11,7 @@ import numpy as np
 
 from kilter_core.errors import ObservationError
 from kilter_core.motion.rollout.effects import Number
-from kilter_core.motion.rollout.fit import BASE, JointFit, simulate
+from kilter_core.motion.rollout.fit import BASE, JointFit, fit_base, simulate
 from kilter_core.motion.rollout.record import JointRecord
 from kilter_core.motion.rollout.search import (
     FEWEST_BLOCKS,
@@ -20,16 +20,20 @@ from kilter_core.motion.rollout.search import (
     Split,
     drop_contradicted,
     gain_on,
+    judge_anew,
     judge_unseen,
+    refit,
+    refit_joint,
     search_joint,
     split_episodes,
 )
-from kilter_core.types import Floats, Progress, unheard
+from kilter_core.types import Bools, Floats, Progress, unheard
 
 FOLLOWS = 0.6  # correlation of a reading with its command, below which it follows another or none
 SCALE = 3.0  # of a reading over its command, beyond which one of them has another unit
 LEAST_MOTION_RAD = 0.01
 Replay = Callable[[Mapping[str, JointFit]], Mapping[str, Floats]]
+PASSES, SETTLED = 10, 0.99  # in which an arm is settled at most; share that a joint leaves when it is
 LATEST_S = 0.4  # that a reading may come after its command
 
 
@@ -125,6 +129,8 @@ def _search_arm(
     What one joint lacks moves its neighbours: the joint that gains most is believed first, and the others have to show
     theirs in an arm that has it.
     """
+    if replay is not None and len(records) > 1:  # a joint alone is its whole arm
+        records = _settle_servos(records, split.train, replay, pool)
     joints = _search_each(records, split, logs, pool, lambda x: progress(0.4 * x, "each joint"))
     if replay is None:
         return joints
@@ -138,9 +144,44 @@ def _search_arm(
         arm = _correct([one.record for one in joints], _fits_of(joints, believed), replay)
         joints = _renew(joints, arm, again - believed, split, logs, pool)
         again = {one.record.name for one in joints if one.judged} - believed if best is not None else set()
-    if believed and len(joints) > 1:  # a joint alone is its whole arm
+    if len(joints) == 1:
+        return joints
+    if believed:
         arm = _correct([one.record for one in joints], [one.believed for one in joints], replay)
         joints = _renew(joints, arm, believed, split, logs, pool)
+    joints = _settle_arm(joints, replay, pool)
+    return list(pool.map(lambda one: judge_anew(one, logs), joints))
+
+
+def _settle_servos(
+    records: Sequence[JointRecord], train: Bools, replay: Replay, pool: ThreadPoolExecutor
+) -> list[JointRecord]:
+    """Correct each joint by the arm as its servos are fitted, as long as the joint leaves less by it.
+
+    Readings tell the motion of carried joints, and so their load, but smoothed: what is missing looks like an effect.
+    """
+    records = list(records)
+    fits = list(pool.map(lambda one: fit_base(one, train), records))
+    for _ in range(PASSES):
+        arm = _correct(records, fits, replay)
+        new = list(pool.map(lambda one, fit: refit(one, fit, (), train), arm, fits))
+        better = [one.cost < SETTLED * fit.cost for one, fit in zip(new, fits, strict=True)]
+        if not any(better):
+            break
+        fits = [one if gains else fit for one, fit, gains in zip(new, fits, better, strict=True)]
+        records = [one if gains else old for one, old, gains in zip(arm, records, better, strict=True)]
+    return records
+
+
+def _settle_arm(joints: list[JointFindings], replay: Replay, pool: ThreadPoolExecutor) -> list[JointFindings]:
+    """Fit the joints, with what they lack, in turn with the arm in which they move, until no joint leaves less."""
+    for _ in range(PASSES):
+        before = [one.rms(one.believed, one.split.train) for one in joints]
+        arm = _correct([one.record for one in joints], [one.believed for one in joints], replay)
+        joints = list(pool.map(refit_joint, joints, arm))
+        after = [one.rms(one.believed, one.split.train) for one in joints]
+        if all(new > SETTLED * old for new, old in zip(after, before, strict=True)):
+            break
     return joints
 
 

@@ -171,15 +171,19 @@ def _fit_at_noise(
     episodes = np.unique(record.episode[rows]).tolist()
     count = max(int(rows.sum()), 1)
 
+    along = np.eye(len(numbers))
+    along[: len(BASE) - 1, len(BASE) - 1] = 1.0  # without a load, only the bodies' inertia says the scale of all four
+    ratios = 2.0 * np.eye(len(numbers)) - along  # its inverse
+
     def numbers_at(x: Floats) -> Floats:
-        p = fixed.copy()
+        p, x = fixed.copy(), along @ x
         p[places] = np.where(logs, np.exp(np.clip(x, -30.0, 30.0)), np.clip(x, low, high) * scales)
         return p
 
     def left_at(x: Floats) -> Floats:
         left = (record.reading - simulate(record, numbers_at(x), episodes))[rows] / sigma
         left = np.clip(np.where(np.isfinite(left), left, WORST), -WORST, WORST)
-        return np.asarray(np.concatenate([left, (x[logs] - prior) / PRIOR_LOG]) / np.sqrt(count))
+        return np.asarray(np.concatenate([left, ((along @ x)[logs] - prior) / PRIOR_LOG]) / np.sqrt(count))
 
     steps = [number.difference / scale for number, scale in zip(numbers, scales, strict=True)]
     usual = np.where(logs, 1.0, [0.2 * abs(number.starts[0]) for number in numbers])
@@ -194,7 +198,7 @@ def _fit_at_noise(
     x0 = np.where(logs, np.log(np.maximum(begin[places], 1e-12)), begin[places] / scales)
     found = least_squares(
         left_at,
-        np.clip(x0, low, high),
+        ratios @ np.clip(x0, low, high),
         jacobian_at,
         method="lm",
         x_scale=usual,
@@ -207,7 +211,14 @@ def _fit_at_noise(
     units = np.where(logs, p[places], scales)
     left = record.reading - simulate(record, p)
     return JointFit(
-        tuple(terms), p, left, 2.0 * float(found.cost) * sigma**2, np.asarray(found.jac), tuple(numbers), units, sigma
+        tuple(terms),
+        p,
+        left,
+        2.0 * float(found.cost) * sigma**2,
+        np.asarray(found.jac @ ratios),
+        tuple(numbers),
+        units,
+        sigma,
     )
 
 

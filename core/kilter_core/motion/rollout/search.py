@@ -29,6 +29,8 @@ REFITS = 12  # evaluations of a fit that starts where another ended
 PUSH, MOST_PUSHED = 30.0, 0.1  # times the usual square of a second; of all seconds
 HELD_SHARE = 1.0 / 3.0
 FEWEST_BLOCKS = 12
+ONE_SCALE = 0.98  # correlation of armature and damping with the gain, from which they have one scale
+LEAST_FREEDOM = 1e-6  # that a second keeps which alone says a number
 SAME = 3.0  # standard errors within which the values of two logs agree
 SAME_SHARE = 0.25  # of the value, within which they agree however sure they are
 
@@ -133,6 +135,24 @@ def search_joint(record: JointRecord, split: Split, logs: Sequence[int]) -> Join
     return JointFindings(record, split, base, fit, tuple(judged), excluded, aside)
 
 
+def refit_joint(found: JointFindings, record: JointRecord) -> JointFindings:
+    """Fit a joint anew, with what it lacks and without, in the arm as ``record`` has it corrected."""
+    rows = found.split.train
+    base = refit(record, found.base, (), rows, EVALUATIONS)
+    fit = refit(record, found.fit, found.fit.terms, rows, EVALUATIONS) if found.fit.terms else base
+    return replace(found, record=record, base=base, fit=fit)
+
+
+def judge_anew(found: JointFindings, logs: Sequence[int]) -> JointFindings:
+    """Judge what a joint lacks by its fit as it is now."""
+    own = [
+        _judge(found.record, found.split, found.fit, one.term, one.rivals, logs)
+        for one in found.judged
+        if _is_worth_a_name(found.fit, one.term)
+    ]
+    return drop_contradicted(found, own)
+
+
 def judge_unseen(found: JointFindings, one: JudgedEffect, without: Floats, with_it: Floats) -> JudgedEffect:
     """Judge an effect by readings (R,) that were simulated without it and with it, on rows that no choice saw."""
     record, split = found.record, found.split
@@ -145,7 +165,7 @@ def drop_contradicted(found: JointFindings, judged: Sequence[JudgedEffect]) -> J
     kept = [one for one in judged if one.verdict != "contradicted"]
     if len(kept) == len(found.fit.terms):
         return replace(found, judged=tuple(kept))
-    fit = _refit(found.record, found.fit, [one.term for one in kept], found.split.train, EVALUATIONS)
+    fit = refit(found.record, found.fit, [one.term for one in kept], found.split.train, EVALUATIONS)
     return replace(found, fit=fit, judged=tuple(kept))
 
 
@@ -202,7 +222,7 @@ def _fit_candidates(record: JointRecord, fit: JointFit, train: Bools) -> list[Jo
 def _drop_idle_terms(record: JointRecord, fit: JointFit, losses: Floats, train: Bools) -> tuple[JointFit, Floats]:
     """Take out earlier terms that the last one has made needless; return the fit and what it leaves of each second."""
     for term in fit.terms[:-1]:
-        fewer = _refit(record, fit, [one for one in fit.terms if one is not term], train)
+        fewer = refit(record, fit, [one for one in fit.terms if one is not term], train)
         without = _fold_losses(record, fewer, train)
         if not _gains(without, losses) or not _is_worth_a_name(fit, term):
             fit, losses = fewer, without
@@ -213,15 +233,16 @@ def _choose_friction_anew(record: JointRecord, fit: JointFit, losses: Floats, tr
     """Let friction creep where it held, or hold, if that is nearer now: without an effect, which was nearer says little."""
     begin = fit.p.copy()
     begin[place.RATE] = 0.0 if fit.creeps else record.stated[place.RATE]
-    other = _refit(record, replace(fit, p=begin), fit.terms, train)
+    other = refit(record, replace(fit, p=begin), fit.terms, train)
     if other.cost >= fit.cost:
         return fit, losses
     return other, _fold_losses(record, other, train)
 
 
-def _refit(
+def refit(
     record: JointRecord, fit: JointFit, terms: Sequence[Term], rows: Bools, evaluations: int = 2 * REFITS
 ) -> JointFit:
+    """Fit a joint with some of its ``terms``, from what it had."""
     begin = fit.p.copy()
     for term in fit.terms:
         if term not in terms:
@@ -237,7 +258,7 @@ def _fold_losses(record: JointRecord, fit: JointFit, train: Bools) -> Floats:
     losses = np.zeros(int(record.block.max()) + 1)
     for k in range(FOLDS):
         inside = fold[record.block] == k
-        own = _refit(record, fit, fit.terms, train & ~inside, REFITS)
+        own = refit(record, fit, fit.terms, train & ~inside, REFITS)
         rows = inside & train & record.used
         np.add.at(losses, record.block[rows], own.left[rows] ** 2)
     return losses[blocks]
@@ -276,15 +297,31 @@ def _find_pushed_blocks(record: JointRecord, fit: JointFit, split: Split) -> Boo
 
 
 def covariance(record: JointRecord, fit: JointFit, rows: Bools) -> Floats:
-    """Covariance (k, k) of what was fitted, each second one observation (Liang and Zeger 1986)."""
+    """Covariance (k, k) of what was fitted, each second one observation, its residuals as a fit without it leaves them.
+
+    Few seconds say how wide backlash is: a fit follows those, so what it leaves there is too small (CR3: Bell and McCaffrey
+    2002).
+    """
     rows = rows & record.used
     count = int(rows.sum())
-    J = fit.jacobian
+    J, block = fit.jacobian, record.block[rows]
     left = fit.left[rows] / np.sqrt(count) / fit.sigma
     inverse = np.linalg.pinv(J.T @ J)
-    scores = np.zeros((int(record.block.max()) + 1, J.shape[1]))
-    np.add.at(scores, record.block[rows], J[:count] * left[:, None])
-    return np.asarray(inverse @ (scores.T @ scores) @ inverse)
+    spread = np.zeros_like(inverse)
+    for one in np.unique(block):
+        own = J[:count][block == one]
+        leverage = own.T @ own @ inverse
+        score = np.linalg.solve((1.0 + LEAST_FREEDOM) * np.eye(len(inverse)) - leverage, own.T @ left[block == one])
+        spread += np.outer(score, score)
+    return np.asarray(inverse @ spread @ inverse)
+
+
+def servo_has_own_scale(found: JointFindings) -> bool:
+    """Whether more than the inertia of the bodies says how large the numbers of the servo are: else only their ratios show."""
+    spread = covariance(found.record, found.believed, found.split.train)
+    sigmas = np.sqrt(np.diag(spread))
+    with_gain = (spread / np.outer(sigmas, sigmas))[len(BASE) - 1, : len(BASE) - 1]
+    return bool(np.min(np.delete(with_gain, 1)) < ONE_SCALE)  # friction may be small
 
 
 def servo_sigmas(record: JointRecord, fit: JointFit, rows: Bools) -> dict[str, float]:
@@ -313,8 +350,8 @@ def _judge(
     logs: Sequence[int],
 ) -> JudgedEffect:
     every = split.train | split.held
-    whole = _refit(record, fit, fit.terms, every)
-    fewer = _refit(record, fit, [one for one in fit.terms if one is not term], split.train, 40)
+    whole = refit(record, fit, fit.terms, every)
+    fewer = refit(record, fit, [one for one in fit.terms if one is not term], split.train, 40)
     unseen = gain_on(record, split.held, fewer.left, fit.left)
     value = float(whole.p[term.effect.number.place])
     sigma = _sigma_of(record, whole, term, every)
@@ -345,7 +382,7 @@ def _shows_in_each_log(record: JointRecord, whole: JointFit, term: Term, every: 
         rows = every & (kinds == name)
         if len(np.unique(record.block[rows])) < FEWEST_BLOCKS:
             return False
-        own = _refit(record, whole, whole.terms, rows)
+        own = refit(record, whole, whole.terms, rows)
         found.append((float(own.p[term.effect.number.place]), _sigma_of(record, own, term, rows)))
     return all(
         abs(value) > GAIN * sigma

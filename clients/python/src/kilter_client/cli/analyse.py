@@ -273,10 +273,10 @@ def gap(
         typer.Option("--output", "-o", help="With --model: write a copy that has what was found.", dir_okay=False),
     ] = None,
     form: Annotated[
-        Literal["mjcf", "sdf", "isaaclab", "lerobot"],
+        Literal["mjcf", "sdf", "usd", "isaaclab", "lerobot"],
         typer.Option(
             "--format",
-            help="With --output: a copy of the model, SDF, actuators of Isaac Lab, or LeRobot's calibration with found zeros.",
+            help="With --output: the model, SDF, USD, actuators of Isaac Lab, or LeRobot's calibration with found zeros.",
         ),
     ] = "mjcf",
     servos: Annotated[
@@ -286,10 +286,13 @@ def gap(
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="With --model: write 95 % ranges of what was found, and 100 draws of them together, as JSON (which is YAML).",
+            help="With --model: write ranges of what was found, and 100 draws of them together, as JSON (which is YAML).",
             dir_okay=False,
         ),
     ] = None,
+    ranges_percent: Annotated[
+        float, typer.Option(metavar="PERCENT", help="With --ranges: what they cover.", min=1.0, max=99.9)
+    ] = 95.0,
     option: MoreOptions = None,
     name: JobName = "",
     no_wait: NoWait = False,
@@ -314,6 +317,7 @@ def gap(
             norm_mode,
             column_map,
             ranges,
+            ranges_percent,
             form,
             servos,
             seed,

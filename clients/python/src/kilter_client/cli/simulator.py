@@ -41,6 +41,7 @@ class ModelSearch:
     norm_mode: str | None
     column_map: Path | None
     ranges: Path | None
+    ranges_percent: float
     form: str
     servos: str | None
     seed: int | None
@@ -112,7 +113,9 @@ def _render(asked: ModelSearch, document: Mapping[str, Any], copy: Patched) -> R
 
 def _search(model: Path, logs: Sequence[str], asked: ModelSearch, as_json: bool) -> tuple[dict[str, Any], Patched]:
     hints = LogHints(calibration=asked.calibration, norm_mode=asked.norm_mode)
-    options = servo_gap.LogOptions(split_names(asked.joints), asked.site, asked.payload_body, hints, asked.column_map)
+    options = servo_gap.LogOptions(
+        split_names(asked.joints), asked.site, asked.payload_body, hints, asked.column_map, asked.ranges_percent
+    )
     with job_bar(f"gap of {model.name}", as_json) as progress:
         return servo_gap.find_servo_gap(model, list(logs), list(asked.held), options, asked.seed or 0, progress)
 

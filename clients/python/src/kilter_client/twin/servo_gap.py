@@ -45,13 +45,17 @@ MISFIT = 2.0  # times the error of the search, from which the whole arm does not
 
 @dataclass(frozen=True)
 class LogOptions:
-    """Names in the model: the log's ``joints``, the ``site`` at the tool, the ``payload`` body; how the log is read."""
+    """Names in the model (the log's ``joints``, the ``site`` at the tool, the ``payload`` body), and how the log is read.
+
+    ``ranges_percent`` is what ranges of the numbers found cover.
+    """
 
     joints: Sequence[str] = ()
     site: str | None = None
     payload: str = "payload"
     hints: LogHints | None = None
     column_map: Path | None = None
+    ranges_percent: float = 95.0
 
 
 def find_servo_gap(
@@ -99,7 +103,7 @@ def find_servo_gap(
     document["notes"] = list(copy.notes)
     document["warnings"] += [*_list_dropped(read), *_compare_whole_arm(document)]
     document["refuted"] = _is_refuted(document)
-    document["ranges"] = draw_joint_ranges(report.joints, seed)
+    document["ranges"] = draw_joint_ranges(report.joints, options.ranges_percent / 100.0, seed)
     return document, copy
 
 
@@ -201,7 +205,7 @@ def replay_readings(arm: ServoModel, model: Any, episodes: Sequence[CommandEpiso
 
 
 def _run(arm: ServoModel, model: Any, one: CommandEpisode, start: Floats) -> Floats:
-    arm.hang(model, one.payload_kg)
+    arm.hang(model, one)
     data = mujoco.MjData(model)
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
     places = [int(model.joint(name).qposadr[0]) for name in arm.joints]
@@ -345,8 +349,10 @@ class _Patch:
         """Set the servo of a joint, and add the effects of its fit."""
         joint = _JointPatch(self, self.arm.joints.index(record.name), record, fit)
         joint.set_servo()
-        for term in fit.terms:
-            getattr(joint, f"add_{term.effect.id}")(float(fit.p[term.effect.number.place]))
+        sizes = {term.effect.id: float(fit.p[term.effect.number.place]) for term in fit.terms}
+        for effect, size in sizes.items():
+            if size != 0.0:  # a fit may find that it is not there
+                getattr(joint, f"add_{effect}")(size)
         if joint.row:
             stated = {"actuator": joint.actuator.name, "friction": fit.values["friction"], "slip_speed": fit.slip_speed}
             self.table[record.name] = stated | joint.row
@@ -432,8 +438,6 @@ class _JointPatch:
         second.damping = _as_before(second.damping, BACKLASH_RATE * second.armature)
 
     def add_flexible_gear(self, size: float) -> None:
-        if size <= 0.0:  # as a fit that finds it rigid has it
-            return
         second = self._add_second_joint()
         second.stiffness = _as_before(second.stiffness, 1.0 / size)
         second.damping = _as_before(second.damping, self.fit.values["gear_damping"] / size)

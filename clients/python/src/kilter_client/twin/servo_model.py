@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -78,7 +79,7 @@ class ServoModel:
         step_s = float(self.model.opt.timestep)
         episodes: list[list[JointEpisode]] = [[] for _ in self.joints]
         for one in (episode for log in logs for episode in log.episodes):
-            self.hang(self.model, one.payload_kg)
+            self.hang(self.model, one)
             bodies = self._bodies_along(np.array([smooth_motion(one.t, reading, step_s) for reading in one.reading.T]))
             for j in range(len(self.joints)):
                 command = self._clamped(j, one.command[:, j])
@@ -94,8 +95,8 @@ class ServoModel:
             for j, name in enumerate(self.joints)
         ]
 
-    def hang(self, model: Any, payload_kg: float) -> None:
-        """Let ``model`` carry a payload.
+    def hang(self, model: Any, one: CommandEpisode) -> None:
+        """Let ``model`` carry the payload of an episode.
 
         Raises:
             FileError: it has no body for one.
@@ -103,14 +104,20 @@ class ServoModel:
         """
         body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, self.payload)
         if body >= 0:
-            model.body_mass[body] = max(payload_kg, 1e-9)
+            model.body_mass[body] = max(one.payload_kg, 1e-9)
+            model.body_ipos[body] = self._stated_centre if one.payload_com is None else one.payload_com
             mujoco.mj_setConst(model, mujoco.MjData(model))
-        elif payload_kg > 0.0:
+        elif one.payload_kg > 0.0:
             raise FileError(
-                f"{self.path}: a log carries {payload_kg:g} kg, the model has no body for it: name one with --payload-body.",
+                f"{self.path}: a log carries {one.payload_kg:g} kg, the model has no body for it: name it with --payload-body.",
                 file=str(self.path),
                 code="model_payload",
             )
+
+    @cached_property
+    def _stated_centre(self) -> Floats:
+        """Centre (3,) of the payload as the file has it: episodes change the model."""
+        return np.array(load_model(self.path).body(self.payload).ipos)
 
     def servo(self, j: int) -> Servo:
         """What the model states of the servo of its ``j``-th joint."""
@@ -233,12 +240,16 @@ REMEDY = "Add cmd1_deg, cmd2_deg, ... (the position that each joint was told) be
 
 @dataclass(frozen=True)
 class CommandEpisode:
-    """Times (N,) s, commands and readings (N, n), rad and m, and what the arm carried, kg."""
+    """Times (N,) s, commands and readings (N, n), rad and m, and what the arm carried, kg, with its centre.
+
+    ``payload_com (3,)`` m is in the frame of the payload's body; None: where the model has it.
+    """
 
     t: Floats
     command: Floats
     reading: Floats
     payload_kg: float = 0.0
+    payload_com: Floats | None = None
 
 
 @dataclass(frozen=True)
@@ -280,10 +291,26 @@ def read_command_log(
         int(np.sum(np.round(np.diff(t[part]) / usual - 1.0)[np.diff(t[part]) > DROPPED * usual])) for part in parts
     )
     carried = log.columns.get("payload_kg", np.zeros(len(t)))
+    centre = _payload_centres(log)
     episodes = tuple(
-        CommandEpisode(t[part] - t[part[0]], command[part], reading[part], float(carried[part[0]])) for part in parts
+        CommandEpisode(
+            t[k] - t[k[0]], command[k], reading[k], float(carried[k[0]]), None if centre is None else centre[k[0]]
+        )
+        for k in parts
     )
     return CommandLog(path, episodes, dropped)
+
+
+def _payload_centres(log: JointLog) -> Floats | None:
+    """Centres (N, 3) m of what was carried, from the origin of its body; None where the log does not say."""
+    named = [name for name in log.columns if name.startswith("payload_com_")]
+    if not named:
+        return None
+    centres = np.zeros((len(log), 3))
+    for name in named:
+        axis, unit = name.removeprefix("payload_com_").split("_")
+        centres[:, "xyz".index(axis)] = log.columns[name] * UNITS[unit]
+    return centres
 
 
 def _episodes(log: JointLog) -> Iterator[Floats]:
@@ -291,9 +318,9 @@ def _episodes(log: JointLog) -> Iterator[Floats]:
     t = log.t_s
     assert t is not None
     ends = np.diff(t) > GAP_ROWS * float(np.median(np.diff(t)))
-    for name in ("session", "payload_kg"):
-        if name in log.columns:
-            ends |= np.diff(log.columns[name]) != 0
+    for name, values in log.columns.items():
+        if name == "session" or name.startswith("payload_"):
+            ends |= np.diff(values) != 0
     return iter(np.split(np.arange(len(t)), np.flatnonzero(ends) + 1))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -275,7 +276,151 @@ def _list_without_element(servos: Sequence[ExportedServo], simulator: str, has: 
     )
 
 
+def write_usd(name: str, model: Any, servos: Sequence[ExportedServo]) -> Rendered:
+    """Write the bodies and joints of a copy as a stage of USD with drives, and friction and armature as PhysX has them.
+
+    Raises:
+        FileError: the model has a free or ball joint.
+
+    """
+    root, by_joint = f"/{_identifier(name)}", {servo.joint: servo for servo in servos}
+    data = mujoco.MjData(model)
+    data.qpos[:] = 0.0
+    mujoco.mj_kinematics(model, data)
+    lines = [f'def Xform "{root[1:]}" (prepend apiSchemas = ["PhysicsArticulationRootAPI"])', "{"]
+    for body in range(1, model.nbody):
+        lines += _usd_body(model, data, body, root, by_joint)
+    notes = (
+        "USD: bodies and joints without their shapes. Drives and viscous friction are per degree, as UsdPhysics has them.",
+        "Friction and armature are PhysxJointAxisAPI, which Isaac Sim reads from 5.0 on. PhysX holds a joint within friction.",
+        *_list_creeping(servos),
+        *_list_without_element(servos, "USD", SECOND_JOINT),
+    )
+    about = json.dumps(" ".join(notes))
+    head = f'#usda 1.0\n(\n    defaultPrim = "{root[1:]}"\n    doc = {about}\n    metersPerUnit = 1\n'
+    head += '    kilogramsPerUnit = 1\n    upAxis = "Z"\n)\n'
+    return Rendered("\n".join([head, *lines, "}", ""]), notes)
+
+
+def _identifier(name: str) -> str:
+    plain = re.sub(r"\W", "_", name, flags=re.ASCII)
+    return plain if plain[:1].isalpha() or plain[:1] == "_" else f"_{plain}"
+
+
+def _usd_body(model: Any, data: Any, body: int, root: str, servos: Mapping[str, ExportedServo]) -> list[str]:
+    """A body, and its joints; of two on one body the first moves a body of its own, the motor."""
+    parent, own = int(model.body_parentid[body]), _identifier(_body_name(model, body))
+    R, Q = data.xmat[parent].reshape(3, 3), data.xmat[body].reshape(3, 3)
+    before = (
+        None if parent == 0 else _identifier(_body_name(model, parent)),
+        R.T @ (data.xpos[body] - data.xpos[parent]),
+        R.T @ Q,
+    )
+    first, count, lines = int(model.body_jntadr[body]), int(model.body_jntnum[body]), []
+    for k in range(max(count, 1)):
+        last = k >= count - 1
+        link = own if last else f"{own}_motor_{k + 1}"
+        inertia = (model.body_mass[body], model.body_ipos[body], model.body_inertia[body], model.body_iquat[body])
+        small = (ROTOR_KG, np.zeros(3), np.full(3, ROTOR_KG_M2), np.array([1.0, 0.0, 0.0, 0.0]))
+        mass, centre, moments, turn = inertia if last else small
+        lines += [
+            f'    def Xform "{link}" (prepend apiSchemas = ["PhysicsRigidBodyAPI", "PhysicsMassAPI"])',
+            "    {",
+            f"        float physics:mass = {float(mass)!r}",
+            f"        point3f physics:centerOfMass = {_tuple(centre)}",
+            f"        float3 physics:diagonalInertia = {_tuple(moments)}",
+            f"        quatf physics:principalAxes = {_tuple(turn)}",
+            f"        double3 xformOp:translate = {_tuple(data.xpos[body])}",
+            f"        quatd xformOp:orient = {_tuple(data.xquat[body])}",
+            '        uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:orient"]',
+            "    }",
+            *_usd_joint(model, first + k if count else None, root, before, link, servos),
+        ]
+        before = (link, np.zeros(3), np.eye(3))
+    return lines
+
+
+def _usd_joint(
+    model: Any,
+    joint: int | None,
+    root: str,
+    before: tuple[str | None, Floats, Floats],
+    link: str,
+    servos: Mapping[str, ExportedServo],
+) -> list[str]:
+    """A joint along its own z, with its limits, drive, friction and armature; a weld without a ``joint``."""
+    parent, shift, R = before
+    turn, place = np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3)
+    inner: list[str] = []
+    name, kind, schemas = f"{link}_fixed", "Fixed", ""
+    if joint is not None:
+        name, place = model.joint(joint).name, model.jnt_pos[joint]
+        mujoco.mju_quatZ2Vec(turn, model.jnt_axis[joint])
+        kind, axis, inner = _usd_joint_numbers(model, joint, name, servos.get(name))
+        schemas = f' (prepend apiSchemas = ["PhysicsDriveAPI:{axis}", "PhysxJointAxisAPI:{axis}"])'
+    turned, whole = np.empty(4), np.empty(4)
+    mujoco.mju_mat2Quat(turned, np.ascontiguousarray(R).ravel())
+    mujoco.mju_mulQuat(whole, turned, turn)
+    held = [] if parent is None else [f"        rel physics:body0 = <{root}/{parent}>"]
+    return [
+        f'    def Physics{kind}Joint "{_identifier(name)}"{schemas}',
+        "    {",
+        *held,
+        f"        rel physics:body1 = <{root}/{link}>",
+        f"        point3f physics:localPos0 = {_tuple(shift + R @ place)}",
+        f"        quatf physics:localRot0 = {_tuple(whole)}",
+        f"        point3f physics:localPos1 = {_tuple(place)}",
+        f"        quatf physics:localRot1 = {_tuple(turn)}",
+        *(f"        {line}" for line in inner),
+        "    }",
+    ]
+
+
+def _usd_joint_numbers(model: Any, joint: int, name: str, servo: ExportedServo | None) -> tuple[str, str, list[str]]:
+    """Kind, axis and attributes of a joint; angles, and what is per angle, in degrees."""
+    hinge = int(model.jnt_type[joint]) == HINGE
+    if not hinge and int(model.jnt_type[joint]) != SLIDE:
+        raise FileError(f"{name} is a ball joint or free, and USD is written for others.", code="model_joint")
+    axis, per, dof = (
+        ("angular", 180.0 / np.pi, int(model.jnt_dofadr[joint]))
+        if hinge
+        else ("linear", 1.0, int(model.jnt_dofadr[joint]))
+    )
+    stiffness, damping, effort = float(np.ravel(model.jnt_stiffness[joint])[0]), 0.0, None
+    viscous, friction = float(np.ravel(model.dof_damping[dof])[0]), float(model.dof_frictionloss[dof])
+    armature, kilter = float(model.dof_armature[dof]), {}
+    if servo is not None:
+        stiffness, damping, effort, armature = servo.gain, servo.servo_damping, servo.effort, servo.armature
+        viscous, friction, kilter = servo.damping - servo.servo_damping, servo.friction, dict(servo.effects)
+        kilter |= {} if servo.delay_s is None else {"command_delay_s": servo.delay_s[0]}
+    drive, own = f"float drive:{axis}:physics", f"float physxJointAxis:{axis}"
+    lines = ['uniform token physics:axis = "Z"', f'uniform token drive:{axis}:physics:type = "force"']
+    if bool(model.jnt_limited[joint]):
+        low, high = (float(end) * per for end in model.jnt_range[joint])
+        lines += [f"float physics:lowerLimit = {low!r}", f"float physics:upperLimit = {high!r}"]
+    values = {
+        f"{drive}:stiffness": stiffness / per,
+        f"{drive}:damping": damping / per,
+        f"{own}:armature": armature,
+        f"{own}:staticFrictionEffort": friction,
+        f"{own}:dynamicFrictionEffort": friction,
+        f"{own}:viscousFrictionCoefficient": viscous / per,
+        **({} if effort is None else {f"{drive}:maxForce": effort}),
+        **{f"custom double kilter:{key}": value for key, value in kilter.items()},
+    }
+    return (
+        "Revolute" if hinge else "Prismatic",
+        axis,
+        [*lines, *(f"{key} = {float(value)!r}" for key, value in values.items())],
+    )
+
+
+def _tuple(values: Floats) -> str:
+    return f"({', '.join(repr(float(value) + 0.0) for value in values)})"
+
+
 WRITERS: Mapping[str, Callable[[str, Any, Sequence[ExportedServo]], Rendered]] = {
     "sdf": write_sdf,
     "isaaclab": write_isaaclab,
+    "usd": write_usd,
 }
