@@ -142,7 +142,7 @@ class _Loss:
         return np.asarray(turns.reshape(-1, 9) @ self.B.T - self.d)
 
     def slopes(self, turns: Floats) -> Floats:
-        """Derivatives (K, 3, m) of the residuals by turns about the axes."""
+        """Derivatives (K, 3, m) of the residuals by rotations about the axes."""
         return np.asarray((turns.reshape(-1, 9) @ self._turned).reshape(len(turns), 3, -1))
 
     def linear(self, turn: Floats) -> tuple[Floats, Floats]:
@@ -183,7 +183,7 @@ def _refine_rotations(loss: _Loss, turns: Floats, steps: int) -> Floats:
 
 
 def _rotations(w: Floats) -> Floats:
-    """Rotations (K, 3, 3) about w (K, 3), by 2 atan(|w| / 2): Cayley's formula, which of a small step is a turn by |w|."""
+    """Rotations (K, 3, 3) about w (K, 3), by 2 atan(|w| / 2): Cayley's formula, which of a small step is a rotation by |w|."""
     W = (w @ AXES.reshape(3, 9)).reshape(-1, 3, 3)
     return np.asarray(IDENTITY + (W + 0.5 * W @ W) / (1.0 + 0.25 * (w * w).sum(axis=1))[:, None, None])
 
