@@ -157,19 +157,22 @@ def test_models_that_cannot_be_settled_are_refused_with_the_remedy(
     def refusal(text: str, campaign: str = "held", *more: str) -> str:
         model.write_text(text)
         asked = ("twin", "compare", model, campaign, "--robot", "unsettled", "--joints", JOINTS, *more)
-        return str(command.json(*asked, code=2 if campaign == "few" else 1)["detail"])
+        said = command.json(*asked, code=2 if campaign == "few" else 1)
+        return f"{said['code']}: {said['detail']}"
 
     assert "has no site 'tool'. It has: flange." in refusal(rigid(arm))
     assert "base and tool need 6" in refusal(rigid(arm), "few", "--site", "flange")
     loop = rigid(arm).replace("<worldbody>", '<include file="theirs.xml"/><worldbody>')
-    assert "theirs.xml: MuJoCo cannot load it" in refusal(loop)
+    assert refusal(loop).startswith(f"model_includes: {model}: MuJoCo cannot load it")
     assert "Take out the <include> that names a file a second time" in refusal(loop)
     (tmp_path / "other.xml").write_text('<mujoco><include file="theirs.xml"/></mujoco>')
     told = refusal(loop.replace('file="theirs.xml"', 'file="other.xml"'))
     assert "'theirs.xml' already included" in told
     assert "Take out the <include> that names a file a second time" in told
     mesh = rigid(arm).replace("<worldbody>", '<asset><mesh name="m" file="gone.stl"/></asset><worldbody>')
-    assert "gone.stl" in refusal(mesh)
+    assert "gone.stl" in (told := refusal(mesh))
+    assert told.startswith("model_files: ")
+    assert refusal(rigid(arm).replace("<worldbody>", "<worlds>", 1)).startswith("model_invalid: ")
     swinging = "".join(f'<position joint="axis{j}" kp="1e7"/>' for j in range(1, 7))
     told = refusal(rigid(arm, swinging), "held", "--site", "flange", "--step-ms", "5")
     assert "does not come to rest at steps of 5 ms" in told

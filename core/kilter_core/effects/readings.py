@@ -212,7 +212,7 @@ class Harmonic(JointCurve):
     separated_by = (Separator.TURN,)
     source = "Whitney, Lozinski and Rourke 1986; Hu 2020, harmonic model of joint modules"
     order: ClassVar[int]
-    sigma_deg: ClassVar[float]
+    sigma: ClassVar[float]  # rad
 
     def configure_for_robot(self, robot: Robot, rows: Observations | None = None) -> Self:
         """Act on revolute joints."""
@@ -220,7 +220,7 @@ class Harmonic(JointCurve):
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         """Amplitudes a then b per joint, rad."""
-        sigma, wide = math.radians(self.sigma_deg), math.radians(10.0 * self.sigma_deg)
+        sigma, wide = self.sigma, 10.0 * self.sigma
         angle = "q" if self.order == 1 else f"{self.order}q"
         return tuple(
             p
@@ -251,7 +251,7 @@ class Eccentricity(Harmonic):
     summary = "once-per-revolution error of a joint: encoder disc or output gear off centre"
     aliases = ("encoder_scale", "gravity_spring", "second_harmonic", "axial_compliance")
     remedy = "move the joint over more than 180 degrees; repeat poses with a second payload, which it ignores"
-    order, sigma_deg = 1, 0.1
+    order, sigma = 1, math.radians(0.1)
 
 
 @dataclass(frozen=True)
@@ -262,7 +262,7 @@ class SecondHarmonic(Harmonic):
     summary = "twice-per-revolution error of a joint: coupling or ovality"
     aliases = ("eccentricity", "encoder_scale", "gravity_spring")
     remedy = "move the joint over more than 180 degrees: on a short range it looks like the first harmonic"
-    order, sigma_deg = 2, 0.05
+    order, sigma = 2, math.radians(0.05)
 
 
 @dataclass(frozen=True)

@@ -14,13 +14,33 @@ from kilter_service.contract.units import COMPENSATION, INTERVAL, TOLERANCE, Cel
 from kilter_service.contract.wording import Remark
 
 RobotState = Literal[
-    "worse", "moved", "cannot_tell", "changed", "outside", "unchecked", "drifting", "near", "uncalibrated", "not_known",
-    "as_calibrated", "within",
-]  # fmt: skip
+    "worse",
+    "moved",
+    "cannot_tell",
+    "changed",
+    "outside",
+    "unchecked",
+    "drifting",
+    "near",
+    "uncalibrated",
+    "not_known",
+    "as_calibrated",
+    "within",
+]
 StepKind = Literal[
-    "activate", "rezero", "record_repair", "measure", "plan", "plan_check", "upload", "search", "identify", "await_job",
-    "evaluate", "correct",
-]  # fmt: skip
+    "activate",
+    "rezero",
+    "record_repair",
+    "measure",
+    "plan",
+    "plan_check",
+    "upload",
+    "search",
+    "identify",
+    "await_job",
+    "evaluate",
+    "correct",
+]
 FirstStage = Literal["describe", "measure", "check", "search", "activate", "correct"]
 
 

@@ -57,9 +57,11 @@ class _Library(ctypes.Structure):
     """The beginning of ``struct dl_phdr_info`` of <link.h>."""
 
     _fields_ = (
-        ("address", ctypes.c_uint64), ("name", ctypes.c_char_p),
-        ("segments", ctypes.POINTER(_Segment)), ("count", ctypes.c_uint16),
-    )  # fmt: skip
+        ("address", ctypes.c_uint64),
+        ("name", ctypes.c_char_p),
+        ("segments", ctypes.POINTER(_Segment)),
+        ("count", ctypes.c_uint16),
+    )
 
 
 def return_pages_of_libraries() -> None:

@@ -38,14 +38,14 @@ def test_zeros_and_stale_positions_are_named(arm):
 
 
 def test_many_missed_readings_hide_nothing():
-    robot, _, rows = campaign("ur10")
+    robot, _, rows = campaign("ur10", poses=90)
     wrong = [3, 8, 14, 20, 33, 41, 47, 58, 66]  # of 90
     (said,) = warned(robot, moved(rows, dict.fromkeys(wrong, np.zeros(3))))
     assert said["rows"] == [row + 1 for row in wrong]
 
 
 def test_rows_of_several_set_ups_keep_their_numbers():
-    robot, _, rows = campaign("ur10")
+    robot, _, rows = campaign("ur10", poses=90)
     session = np.repeat([2, 1], 45)
     lifted = replace(rows, session=session, position=rows.position + np.where(session == 1, 3.0, 0.0)[:, None])
     begin = Calibration.nominal(robot)
@@ -59,7 +59,7 @@ def test_rows_of_several_set_ups_keep_their_numbers():
 
 
 def test_one_row_of_zeros_does_not_become_a_verdict_on_the_arm():
-    robot, _, rows = campaign("ur10")
+    robot, _, rows = campaign("ur10", poses=90)
     found = identify(robot, moved(rows, {5: np.zeros(3)}), 0.25)
     codes = {one["code"]: one for one in found.warnings}
     assert codes["rows_astray"]["rows"] == [6]
@@ -71,7 +71,7 @@ def test_one_row_of_zeros_does_not_become_a_verdict_on_the_arm():
 
 
 def test_a_fit_says_that_rows_are_copies_and_takes_no_noise_from_them():
-    robot, _, rows = campaign("ur10")
+    robot, _, rows = campaign("ur10", poses=90)
     found = identify(robot, Observations.concatenate([rows, rows]))
     codes = {one["code"]: one for one in found.warnings}
     assert codes["repeats_identical"]["rows"] == list(range(91, 181))

@@ -117,7 +117,7 @@ PAYLOAD = JobContract(
     "payload",
     noun="weighing of a payload",
     title="Weigh what it carries",
-    summary="Weigh what an arm carries, by its joint torques or a force sensor at the wrist.",
+    summary="Weigh what an arm carries, by torques or a force sensor.",
     options=PayloadOptions,
     result=PayloadResult,
     seconds=(2.0, 0.5, 30.0),

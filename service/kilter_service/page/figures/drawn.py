@@ -163,8 +163,10 @@ class Space:
         """Draw it."""
         times, ground = self.times, min(0.0, *(one[2] for one in self.at))
         reach = max(max(abs(one[0]), abs(one[1])) for one in self.at) or 1.0
-        tips = {kind.look: [self._tip(at, one, times) for at, one in zip(self.at, kind.vectors, strict=True)]
-                for kind in self.arrows}  # fmt: skip
+        tips = {
+            kind.look: [self._tip(at, one, times) for at, one in zip(self.at, kind.vectors, strict=True)]
+            for kind in self.arrows
+        }
         corners = [(sx * reach, sy * reach, ground) for sx in (-1, 1) for sy in (-1, 1)]
         flat = [_flat(one) for one in (*self.at, *corners, *(tip for own in tips.values() for tip in own if tip))]
         width = room_for(self.width)

@@ -125,8 +125,11 @@ def _errors(found: DriftHistory, today: Today, axis: Days) -> Plot | None:
     for one in errors:
         if one.low_mm and one.high_mm:
             drawn.line([_day(one.at)] * 2, [one.low_mm, one.high_mm], colour=GREY)
-    for label, look, chosen in (("evaluation", 2, ("evaluation", False)), ("check", 0, ("check", False)),
-                                ("check that alarmed", 4, ("check", True))):  # fmt: skip
+    for label, look, chosen in (
+        ("evaluation", 2, ("evaluation", False)),
+        ("check", 0, ("check", False)),
+        ("check that alarmed", 4, ("check", True)),
+    ):
         own = [one for one in errors if (one.source, one.alarm) == chosen]
         if own:
             words = [

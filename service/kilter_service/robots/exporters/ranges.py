@@ -26,10 +26,19 @@ if TYPE_CHECKING:
     from kilter_core.types import Floats
 
 UNITS = {  # of the attributes that a draw may change, of a revolute joint and of a prismatic one
-    "pos": ("m", "m"), "quat": ("wxyz", "wxyz"), "mass": ("kg", "kg"), "fullinertia": ("kg_m2", "kg_m2"),
-    "diaginertia": ("kg_m2", "kg_m2"), "kp": ("nm_rad", "n_m"), "frictionloss": ("nm", "n"), "range": ("rad", "m"),
-    "armature": ("kg_m2", "kg"), "damping": ("nm_s_rad", "n_s_m"), "stiffness": ("nm_rad", "n_m"), "data": ("", ""),
-}  # fmt: skip
+    "pos": ("m", "m"),
+    "quat": ("wxyz", "wxyz"),
+    "mass": ("kg", "kg"),
+    "fullinertia": ("kg_m2", "kg_m2"),
+    "diaginertia": ("kg_m2", "kg_m2"),
+    "kp": ("nm_rad", "n_m"),
+    "frictionloss": ("nm", "n"),
+    "range": ("rad", "m"),
+    "armature": ("kg_m2", "kg"),
+    "damping": ("nm_s_rad", "n_s_m"),
+    "stiffness": ("nm_rad", "n_m"),
+    "data": ("", ""),
+}
 
 
 def ranges(version: Exportable) -> Written:

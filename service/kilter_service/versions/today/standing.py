@@ -85,8 +85,13 @@ def first_calibration(reached: Reached, steps: Mapping[FirstStage, Sequence[Next
 
 Look = Literal["good", "warn", "bad", "faint"]
 FILE = "FILE"  # of the person's own
-CAUSES = {"zero": "Re-zero", "sag": "Re-fit the sag of", "base": "Re-fit the base", "tool": "Re-fit the tool",
-          "scale": "Re-fit the scale"}  # fmt: skip
+CAUSES = {
+    "zero": "Re-zero",
+    "sag": "Re-fit the sag of",
+    "base": "Re-fit the base",
+    "tool": "Re-fit the tool",
+    "scale": "Re-fit the scale",
+}
 
 
 @dataclass(frozen=True)

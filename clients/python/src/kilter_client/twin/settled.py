@@ -138,14 +138,20 @@ def load_model(path: Path) -> Any:
         return mujoco.MjModel.from_xml_path(str(path))
     except ValueError as error:
         said = " ".join(str(error).split())
-        raise FileError(f"{path}: MuJoCo cannot load it: {said}. {_remedy(said)}", file=str(path)) from error
+        code, remedy = _code_and_remedy(said)
+        raise FileError(f"{path}: MuJoCo cannot load it: {said}. {remedy}", code=code, file=str(path)) from error
 
 
-def _remedy(said: str) -> str:
-    """What to do about a model, by what MuJoCo says of it."""
+def _code_and_remedy(said: str) -> tuple[str, str]:
+    """What is wrong with a model and what to do about it, by what MuJoCo says of it."""
     if "already included" in said:
-        return "Take out the <include> that names a file a second time: files that include each other have no end."
-    return "Put the files that it names beside it, or mend the place that is named."
+        return (
+            "model_includes",
+            "Take out the <include> that names a file a second time: files that include each other have no end.",
+        )
+    if "opening file" in said:
+        return "model_files", "Put the files that it names beside it, or mend the place that is named."
+    return "model_invalid", "Mend the place that is named."
 
 
 def model_errors(model: Any, rows: MeasuredRows, settings: Settings, path: Path) -> ViewErrors | Floats:
