@@ -57,7 +57,7 @@ class Tests:
     orders: int
     others: int
 
-    def of(self, term: Term) -> int:
+    def count_for(self, term: Term) -> int:
         """Return by how much the chance of a term is multiplied."""
         return 2 * (self.orders if "order" in term.effect.needs else self.others)
 
@@ -90,7 +90,7 @@ class Judged:
         """Whether any of its values is above zero by more than the largest of so many is by chance, and blocks that no choice
         saw say so too.
         """
-        least = -float(ndtri(0.5 * ALPHA / tests.of(self.term)))
+        least = -float(ndtri(0.5 * ALPHA / tests.count_for(self.term)))
         return bool(np.any(np.abs(self.value) > least * self.sigma) and self.unseen > DEVIATIONS * self.unseen_sigma)
 
 
@@ -178,7 +178,7 @@ def _list_significant_terms(
 ) -> list[Seen]:
     seen = score_terms(equations, fit, split.train, rest)
     return [
-        one for one in seen if one.p * tests.of(one.term) < ALPHA and one.share > LEAST_SHARE and is_plausible(one)
+        one for one in seen if one.p * tests.count_for(one.term) < ALPHA and one.share > LEAST_SHARE and is_plausible(one)
     ][:TRIED]
 
 
