@@ -178,7 +178,9 @@ def _list_significant_terms(
 ) -> list[Seen]:
     seen = score_terms(equations, fit, split.train, rest)
     return [
-        one for one in seen if one.p * tests.count_for(one.term) < ALPHA and one.share > LEAST_SHARE and is_plausible(one)
+        one
+        for one in seen
+        if one.p * tests.count_for(one.term) < ALPHA and one.share > LEAST_SHARE and is_plausible(one)
     ][:TRIED]
 
 
