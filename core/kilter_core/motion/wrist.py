@@ -238,11 +238,13 @@ def _predict(rows: _Rows, fit: _Solved) -> Floats:
 
 def _refuse_wrong_readings(rows: _Rows, fit: _Solved, free: bool) -> None:
     spread = np.sqrt(np.mean(np.var(rows.w[:, :3], axis=0)))
-    mirrored = _solve(replace(rows, w=-rows.w), FIRST, free)
-    right, wrong = (one.x[6] > 0.0 and one.force_left < UNEXPLAINED * spread for one in (fit, mirrored))
-    if right:
+
+    def follows_gravity(one: _Solved) -> bool:
+        return bool(one.x[6] > 0.0 and one.force_left < UNEXPLAINED * spread)
+
+    if follows_gravity(fit):
         return
-    if wrong:
+    if follows_gravity(_solve(replace(rows, w=-rows.w), FIRST, free)):
         raise ObservationError(
             "The sensor reads what the flange does to the tool, of the other sign: change the sign of all six columns, fx_n to "
             "mz_nm, so that a tool that hangs pulls down. Two columns that were exchanged, such as x and y, look the same.",

@@ -105,7 +105,8 @@ class ServoModel:
         body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, self.payload)
         if body >= 0:
             model.body_mass[body] = max(one.payload_kg, 1e-9)
-            model.body_ipos[body] = self._stated_centre if one.payload_com is None else one.payload_com
+            stated = self._stated_centre  # read before any episode changes it
+            model.body_ipos[body] = stated if one.payload_com is None else one.payload_com
             mujoco.mj_setConst(model, mujoco.MjData(model))
         elif one.payload_kg > 0.0:
             raise FileError(
@@ -116,8 +117,8 @@ class ServoModel:
 
     @cached_property
     def _stated_centre(self) -> Floats:
-        """Centre (3,) of the payload as the file has it: episodes change the model."""
-        return np.array(load_model(self.path).body(self.payload).ipos)
+        """Centre (3,) of the payload as the file has it."""
+        return np.array(self.model.body(self.payload).ipos)
 
     def servo(self, j: int) -> Servo:
         """What the model states of the servo of its ``j``-th joint."""

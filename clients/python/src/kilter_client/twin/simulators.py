@@ -381,11 +381,8 @@ def _usd_joint_numbers(model: Any, joint: int, name: str, servo: ExportedServo |
     hinge = int(model.jnt_type[joint]) == HINGE
     if not hinge and int(model.jnt_type[joint]) != SLIDE:
         raise FileError(f"{name} is a ball joint or free, and USD is written for others.", code="model_joint")
-    axis, per, dof = (
-        ("angular", 180.0 / np.pi, int(model.jnt_dofadr[joint]))
-        if hinge
-        else ("linear", 1.0, int(model.jnt_dofadr[joint]))
-    )
+    axis, per = ("angular", 180.0 / np.pi) if hinge else ("linear", 1.0)
+    dof = int(model.jnt_dofadr[joint])
     stiffness, damping, effort = float(np.ravel(model.jnt_stiffness[joint])[0]), 0.0, None
     viscous, friction = float(np.ravel(model.dof_damping[dof])[0]), float(model.dof_frictionloss[dof])
     armature, kilter = float(model.dof_armature[dof]), {}
